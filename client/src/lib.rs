@@ -1,0 +1,20 @@
+//! MR360 live, the client's half: receive ─► decode ─► sync ─► environment ─► view ─► present.
+//!
+//! [`join`] reads like the data path. Head motion never leaves the client.
+
+pub mod audio;
+pub mod camera;
+pub mod decode;
+pub mod environment;
+pub mod gpu;
+pub mod headless;
+pub mod join;
+pub mod picture;
+pub mod receive;
+pub mod record;
+pub mod render;
+pub mod scene;
+pub mod stats;
+pub mod sync;
+pub mod view;
+pub mod window;

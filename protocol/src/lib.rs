@@ -1,0 +1,19 @@
+//! What crosses the wire in MR360 live, and how.
+//!
+//! [`light`], [`video`], [`scene`], [`clock`], [`asset`] and [`codec`] do no I/O: they define the messages,
+//! their bounds and their encoding. [`transport`] carries them over QUIC and MoQ; [`join`] is the URL that
+//! a viewer is handed.
+//!
+//! Conventions of the whole project: right-handed, y up, −z forward, metres, radians; linear BT.709 radiance
+//! with the video's display white at 1.0.
+
+pub mod asset;
+pub mod clock;
+pub mod codec;
+pub mod join;
+pub mod light;
+pub mod scene;
+pub mod scene_file;
+pub mod track;
+pub mod transport;
+pub mod video;

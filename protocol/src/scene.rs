@@ -1,0 +1,406 @@
+//! The shared scene: objects on a ground plane, changed by users' intents through the server alone.
+
+use glam::{Quat, Vec3};
+use serde::{Deserialize, Serialize};
+
+use crate::asset::AssetId;
+use crate::codec::{Message, WireError, ensure_in_range};
+
+/// Most objects in a scene.
+pub const MAX_OBJECTS: usize = 1024;
+/// Most users in a session.
+pub const MAX_USERS: usize = 256;
+/// Most changes in one delta.
+pub const MAX_CHANGES: usize = 256;
+/// Most characters in a user's name.
+pub const MAX_NAME_CHARS: usize = 64;
+/// Objects stay within this distance of the origin on every axis, metres.
+pub const MAX_POSITION_M: f32 = 1_000.0;
+/// Scales lie in [1/this, this].
+pub const MAX_SCALE: f32 = 1_000.0;
+
+/// Names an object for as long as it exists.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct ObjectId(pub u32);
+
+/// Built-in shapes, centred at their origin and one metre across: the sphere's and cylinder's diameter,
+/// the cylinder's height (along y), the cube's edge, the plane's sides (in x and z, facing +y).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Shape {
+    /// Diameter 1.
+    Sphere,
+    /// Edge 1.
+    Cube,
+    /// Diameter 1, height 1.
+    Cylinder,
+    /// 1 × 1.
+    Plane,
+}
+
+/// What an object looks like before its material.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum Geometry {
+    /// A built-in shape.
+    Shape(Shape),
+    /// A glTF 2.0 model (.glb, or .gltf with everything embedded).
+    Model(AssetId),
+}
+
+/// Surface class.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum MaterialKind {
+    /// Metallic-roughness.
+    #[default]
+    Opaque,
+    /// Clear, refracting.
+    Glass,
+}
+
+/// glTF's metallic-roughness in short. Perceptual roughness 0 with metallic 1 is a mirror.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Material {
+    /// Linear BT.709, each in [0, 1].
+    pub base_color: [f32; 3],
+    /// Perceptual roughness in [0, 1]; alpha is its square.
+    pub roughness: f32,
+    /// In [0, 1].
+    pub metallic: f32,
+    /// Surface class.
+    pub kind: MaterialKind,
+}
+
+impl Default for Material {
+    fn default() -> Self {
+        Self { base_color: [0.8; 3], roughness: 1.0, metallic: 0.0, kind: MaterialKind::Opaque }
+    }
+}
+
+/// Position, rotation and scale: `world_from_object` = T · R · S.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Transform {
+    /// Metres.
+    pub position: Vec3,
+    /// Unit quaternion.
+    pub rotation: Quat,
+    /// Factor on each axis.
+    pub scale: Vec3,
+}
+
+impl Default for Transform {
+    fn default() -> Self {
+        Self { position: Vec3::ZERO, rotation: Quat::IDENTITY, scale: Vec3::ONE }
+    }
+}
+
+/// One virtual object.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Object {
+    /// Its name.
+    pub id: ObjectId,
+    /// Its form.
+    pub geometry: Geometry,
+    /// Its place.
+    pub transform: Transform,
+    /// Its surface; a model without one keeps the materials of its file.
+    pub material: Option<Material>,
+}
+
+/// The whole shared state.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Scene {
+    /// Counts every change the server made; a delta applies to the revision before its own.
+    pub revision: u64,
+    /// Height of the ground plane, metres, relative to the camera that filmed the panorama at y = 0.
+    pub ground_y: f32,
+    /// In order of id.
+    pub objects: Vec<Object>,
+}
+
+impl Default for Scene {
+    fn default() -> Self {
+        Self { revision: 0, ground_y: -1.6, objects: Vec::new() }
+    }
+}
+
+/// One change to a scene.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum Change {
+    /// Adds the object, or replaces the one of the same id.
+    Put(Object),
+    /// Moves an object.
+    Move(ObjectId, Transform),
+    /// Takes an object away.
+    Remove(ObjectId),
+}
+
+/// What the `scene` track carries: each group is one snapshot, then deltas in order.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum SceneMessage {
+    /// The whole scene.
+    Snapshot(Scene),
+    /// Turns revision `revision − 1` into `revision`.
+    Delta {
+        /// Revision after the changes.
+        revision: u64,
+        /// In order.
+        changes: Vec<Change>,
+    },
+}
+
+/// A user's wish; the server decides.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Intent {
+    /// Counts this user's intents; a lower one that comes late is dropped.
+    pub sequence: u64,
+    /// What is wished for.
+    pub action: Action,
+}
+
+/// What a user may wish for.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum Action {
+    /// Take hold of an object: until released it follows this user alone.
+    Grab(ObjectId),
+    /// Put the object here.
+    Move(ObjectId, Transform),
+    /// Let go.
+    Release(ObjectId),
+}
+
+/// Why a delta does not fit a scene.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum ApplyError {
+    /// A delta was lost; wait for the next snapshot.
+    #[error("scene delta {got} does not follow revision {have}; waiting for the next snapshot")]
+    Gap {
+        /// Revision held.
+        have: u64,
+        /// Revision offered.
+        got: u64,
+    },
+    /// A change names an object that is not there.
+    #[error("scene change names object {} that does not exist", .0.0)]
+    NoSuchObject(ObjectId),
+    /// The scene is full.
+    #[error("a scene holds at most {MAX_OBJECTS} objects")]
+    Full,
+}
+
+impl Scene {
+    /// The object of this id.
+    #[must_use]
+    pub fn object(&self, id: ObjectId) -> Option<&Object> {
+        self.objects.iter().find(|object| object.id == id)
+    }
+
+    /// Takes in a message of the `scene` track. On error the scene is as it was.
+    ///
+    /// # Errors
+    /// [`ApplyError`] when a delta does not fit.
+    pub fn apply(&mut self, message: &SceneMessage) -> Result<(), ApplyError> {
+        match message {
+            SceneMessage::Snapshot(scene) => self.clone_from(scene),
+            SceneMessage::Delta { revision, changes } => {
+                if *revision != self.revision + 1 {
+                    return Err(ApplyError::Gap { have: self.revision, got: *revision });
+                }
+                let mut next = self.clone();
+                changes.iter().try_for_each(|change| next.change(change))?;
+                next.revision = *revision;
+                *self = next;
+            }
+        }
+        Ok(())
+    }
+
+    fn change(&mut self, change: &Change) -> Result<(), ApplyError> {
+        let position = |scene: &Self, id| scene.objects.iter().position(|o| o.id == id).ok_or(ApplyError::NoSuchObject(id));
+        match change {
+            Change::Put(object) => match position(self, object.id) {
+                Ok(at) => self.objects[at].clone_from(object),
+                Err(_) if self.objects.len() >= MAX_OBJECTS => return Err(ApplyError::Full),
+                Err(_) => {
+                    let at = self.objects.partition_point(|o| o.id < object.id);
+                    self.objects.insert(at, object.clone());
+                }
+            },
+            Change::Move(id, transform) => {
+                let at = position(self, *id)?;
+                self.objects[at].transform = *transform;
+            }
+            Change::Remove(id) => {
+                let at = position(self, *id)?;
+                self.objects.remove(at);
+            }
+        }
+        Ok(())
+    }
+
+    /// The assets that the objects name, each once, in order.
+    #[must_use]
+    pub fn assets(&self) -> Vec<AssetId> {
+        let mut ids: Vec<_> = self
+            .objects
+            .iter()
+            .filter_map(|object| match object.geometry {
+                Geometry::Model(id) => Some(id),
+                Geometry::Shape(_) => None,
+            })
+            .collect();
+        ids.sort_unstable();
+        ids.dedup();
+        ids
+    }
+}
+
+impl Transform {
+    /// Bounds every part; `message` names the message that carries it.
+    ///
+    /// # Errors
+    /// [`WireError::OutOfRange`] naming the field.
+    pub fn validate(&self, message: &'static str) -> Result<(), WireError> {
+        ensure_in_range(self.position.is_finite() && self.position.abs().max_element() <= MAX_POSITION_M, message, "position", || {
+            format!("{}, within ±{MAX_POSITION_M} m", self.position)
+        })?;
+        ensure_in_range(self.rotation.is_finite() && (self.rotation.length() - 1.0).abs() < 1e-3, message, "rotation", || {
+            format!("{} is not a unit quaternion", self.rotation)
+        })?;
+        let range = 1.0 / MAX_SCALE..=MAX_SCALE;
+        ensure_in_range(self.scale.to_array().iter().all(|s| range.contains(s)), message, "scale", || {
+            format!("{}, each within {}..{MAX_SCALE}", self.scale, 1.0 / MAX_SCALE)
+        })
+    }
+}
+
+impl Object {
+    /// Bounds the transform and the material; `message` names what carries it.
+    ///
+    /// # Errors
+    /// [`WireError::OutOfRange`] naming the field.
+    pub fn validate(&self, message: &'static str) -> Result<(), WireError> {
+        self.transform.validate(message)?;
+        if let Some(material) = self.material {
+            let unit = |v: f32| (0.0..=1.0).contains(&v);
+            ensure_in_range(material.base_color.into_iter().all(unit), message, "base_color", || format!("{:?}", material.base_color))?;
+            ensure_in_range(unit(material.roughness), message, "roughness", || material.roughness.to_string())?;
+            ensure_in_range(unit(material.metallic), message, "metallic", || material.metallic.to_string())?;
+        }
+        Ok(())
+    }
+}
+
+impl Scene {
+    /// Bounds counts and ranges, and asks for ids in order.
+    ///
+    /// # Errors
+    /// [`WireError::OutOfRange`] naming the field.
+    pub fn validate(&self, message: &'static str) -> Result<(), WireError> {
+        ensure_in_range(self.objects.len() <= MAX_OBJECTS, message, "objects", || {
+            format!("{}, at most {MAX_OBJECTS}", self.objects.len())
+        })?;
+        ensure_in_range(self.objects.is_sorted_by(|a, b| a.id < b.id), message, "objects", || "ids not in order".to_owned())?;
+        ensure_in_range(self.ground_y.is_finite() && self.ground_y.abs() <= MAX_POSITION_M, message, "ground_y", || {
+            self.ground_y.to_string()
+        })?;
+        self.objects.iter().try_for_each(|object| object.validate(message))
+    }
+}
+
+impl Message for SceneMessage {
+    const NAME: &'static str = "scene message";
+    const VERSION: u8 = 1;
+
+    fn validate(&self) -> Result<(), WireError> {
+        match self {
+            Self::Snapshot(scene) => scene.validate(Self::NAME),
+            Self::Delta { changes, .. } => {
+                ensure_in_range(changes.len() <= MAX_CHANGES, Self::NAME, "changes", || {
+                    format!("{}, at most {MAX_CHANGES}", changes.len())
+                })?;
+                changes.iter().try_for_each(|change| match change {
+                    Change::Put(object) => object.validate(Self::NAME),
+                    Change::Move(_, transform) => transform.validate(Self::NAME),
+                    Change::Remove(_) => Ok(()),
+                })
+            }
+        }
+    }
+}
+
+impl Message for Intent {
+    const NAME: &'static str = "intent";
+    const VERSION: u8 = 1;
+
+    fn validate(&self) -> Result<(), WireError> {
+        match &self.action {
+            Action::Move(_, transform) => transform.validate(Self::NAME),
+            Action::Grab(_) | Action::Release(_) => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn object(id: u32) -> Object {
+        Object { id: ObjectId(id), geometry: Geometry::Shape(Shape::Cube), transform: Transform::default(), material: None }
+    }
+
+    #[test]
+    fn deltas_apply_in_order_and_a_gap_changes_nothing() {
+        let mut scene = Scene { objects: vec![object(1), object(5)], ..Scene::default() };
+        let moved = Transform { position: Vec3::X, ..Transform::default() };
+        let delta = |revision, changes| SceneMessage::Delta { revision, changes };
+        scene.apply(&delta(1, vec![Change::Put(object(3)), Change::Move(ObjectId(5), moved), Change::Remove(ObjectId(1))])).unwrap();
+        assert_eq!(scene.objects.iter().map(|o| o.id.0).collect::<Vec<_>>(), [3, 5]);
+        assert_eq!(scene.objects[1].transform.position, Vec3::X);
+        let before = scene.clone();
+        assert_eq!(scene.apply(&delta(3, vec![])), Err(ApplyError::Gap { have: 1, got: 3 }));
+        assert_eq!(
+            scene.apply(&delta(2, vec![Change::Remove(ObjectId(3)), Change::Remove(ObjectId(9))])),
+            Err(ApplyError::NoSuchObject(ObjectId(9)))
+        );
+        assert_eq!(scene, before);
+    }
+
+    #[test]
+    fn every_range_is_guarded() {
+        let broken = |break_it: fn(&mut Object)| {
+            let mut o = object(1);
+            o.material = Some(Material::default());
+            break_it(&mut o);
+            SceneMessage::Snapshot(Scene { objects: vec![o], ..Scene::default() }).to_wire().unwrap_err().to_string()
+        };
+        assert!(broken(|o| o.transform.position.x = f32::NAN).contains("position"));
+        assert!(broken(|o| o.transform.rotation = Quat::from_xyzw(1.0, 1.0, 0.0, 0.0)).contains("rotation"));
+        assert!(broken(|o| o.transform.scale.z = 0.0).contains("scale"));
+        assert!(broken(|o| o.material = Some(Material { roughness: 1.5, ..Material::default() })).contains("roughness"));
+        assert!(broken(|o| o.material = Some(Material { metallic: -0.1, ..Material::default() })).contains("metallic"));
+        assert!(broken(|o| o.material = Some(Material { base_color: [f32::INFINITY; 3], ..Material::default() })).contains("base_color"));
+    }
+
+    #[test]
+    fn a_full_scene_fits_a_message() {
+        let objects = (0..MAX_OBJECTS as u32).map(|id| Object {
+            geometry: Geometry::Model(AssetId::of(&id.to_le_bytes())),
+            material: Some(Material::default()),
+            ..object(id)
+        });
+        let scene = SceneMessage::Snapshot(Scene { objects: objects.collect(), ..Scene::default() });
+        let wire = scene.to_wire().unwrap();
+        assert_eq!(SceneMessage::from_wire(&wire).unwrap(), scene);
+    }
+
+    proptest! {
+        #[test]
+        fn random_bytes_never_panic(mut bytes in proptest::collection::vec(any::<u8>(), 1..400)) {
+            bytes[0] = SceneMessage::VERSION;
+            let _ = SceneMessage::from_wire(&bytes);
+            let _ = Intent::from_wire(&bytes);
+        }
+    }
+}

@@ -1,0 +1,1 @@
+//! Quinn endpoints, certificates and MoQ sessions.

@@ -1,0 +1,115 @@
+//! From any source to access units and decoded frames, at the pace of the source.
+
+use bytes::Bytes;
+use mr360_protocol::clock::ServerTime;
+use mr360_protocol::video::{Colour, StereoLayout};
+
+use crate::frame::Frame;
+
+/// Codec of the broadcast video.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum VideoCodec {
+    /// Annex B access units with inline parameter sets at keyframes.
+    H264,
+    /// Annex B access units with inline parameter sets at keyframes.
+    Hevc,
+    /// Temporal units in low-overhead OBU format, sequence header at keyframes.
+    Av1,
+}
+
+/// Codec of the broadcast audio.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum AudioCodec {
+    /// Raw AAC frames (no ADTS); `description` is the AudioSpecificConfig.
+    Aac,
+    /// Opus packets; `description` is the OpusHead.
+    Opus,
+}
+
+/// The broadcast video, from its first access unit on.
+#[derive(Debug, Clone, PartialEq)]
+pub struct VideoInfo {
+    /// Its codec.
+    pub codec: VideoCodec,
+    /// Columns of the coded equirect frame.
+    pub width: u32,
+    /// Rows of the coded equirect frame.
+    pub height: u32,
+    /// Frames a second, nominal.
+    pub frame_rate: f64,
+    /// Where the eyes' views lie.
+    pub stereo: StereoLayout,
+    /// What the codes mean.
+    pub colour: Colour,
+    /// Why the video is transcoded; `None` when packets pass through.
+    pub transcoded_because: Option<String>,
+}
+
+/// The broadcast audio.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct AudioInfo {
+    /// Its codec.
+    pub codec: AudioCodec,
+    /// Samples a second.
+    pub sample_rate: u32,
+    /// Channels.
+    pub channels: u32,
+    /// Codec description as the codec says.
+    pub description: Bytes,
+}
+
+/// One coded video frame.
+#[derive(Debug, Clone)]
+pub struct AccessUnit {
+    /// Microseconds since the start of the broadcast; rises strictly.
+    pub pts_us: u64,
+    /// Can be decoded on its own; starts a group.
+    pub keyframe: bool,
+    /// The coded bytes.
+    pub data: Bytes,
+    /// When the source's packet (or the synthetic frame) was taken in.
+    pub ingested: ServerTime,
+}
+
+/// One coded audio packet.
+#[derive(Debug, Clone)]
+pub struct AudioPacket {
+    /// Microseconds since the start of the broadcast, on the video's timeline.
+    pub pts_us: u64,
+    /// The coded bytes.
+    pub data: Bytes,
+}
+
+/// What was survived, counted since the start.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct IngestCounters {
+    /// Times the source was opened again after it had been lost.
+    pub reconnects: u64,
+    /// Timestamps that jumped and were mended.
+    pub timestamp_jumps: u64,
+    /// Changes of the picture's size or pixel format.
+    pub format_changes: u64,
+    /// Packets that the demuxer or decoder refused.
+    pub corrupt_packets: u64,
+    /// Decoded frames that light was too slow for.
+    pub frames_without_light: u64,
+}
+
+/// What ingest hands on. Calls come from ingest's own threads, in presentation order for each kind.
+pub enum IngestEvent {
+    /// The formats, before the first packet and again whenever they change.
+    Started(VideoInfo, Option<AudioInfo>),
+    /// A coded frame, ready to broadcast.
+    Video(AccessUnit),
+    /// The decoded picture of the access unit with the same `pts_us`, with the time when it was decoded.
+    Frame(Frame, ServerTime),
+    /// A coded audio packet.
+    Audio(AudioPacket),
+    /// The source was lost; ingest tries again by itself.
+    Interrupted {
+        /// Why, naming the source.
+        reason: String,
+        /// Until the next try.
+        retry_in: std::time::Duration,
+    },
+}
