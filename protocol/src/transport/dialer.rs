@@ -1,0 +1,205 @@
+//! Connects to a server or relay, and again whenever the connection is lost.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use rustls::client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier};
+use rustls::{DigitallySignedStruct, SignatureScheme};
+use rustls_pki_types::{CertificateDer, ServerName, UnixTime};
+use url::Url;
+use web_transport_quinn::proto::ConnectRequest;
+
+use super::certificate::fingerprint;
+use super::{ALPN_H3, Roles, crypto_provider, subprotocols, transport_config};
+
+/// First wait before a new try; doubles up to [`MAX_BACKOFF`].
+const MIN_BACKOFF: Duration = Duration::from_millis(250);
+/// Longest wait before a new try.
+const MAX_BACKOFF: Duration = Duration::from_secs(4);
+/// A handshake that takes longer has failed.
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(10);
+
+/// Whom to trust and where to go.
+pub struct Dialer {
+    client: web_transport_quinn::Client,
+    endpoint: Url,
+}
+
+/// Why a connection could not be made.
+#[derive(Debug, Clone, thiserror::Error)]
+#[non_exhaustive]
+pub enum DialError {
+    /// No UDP socket, or TLS could not be set up.
+    #[error("cannot set up QUIC: {0}")]
+    Setup(String),
+    /// The certificate is not the one that the join URL names. Trying again will not help.
+    #[error("{url}: the server's certificate has fingerprint {got}, the join URL says {expected}; ask the host for the current join URL")]
+    WrongFingerprint {
+        /// The endpoint.
+        url: Url,
+        /// Of the certificate seen, hexadecimal.
+        got: String,
+        /// Of the join URL, hexadecimal.
+        expected: String,
+    },
+    /// Not reachable, or it refused.
+    #[error("{url}: {fault}")]
+    Connect {
+        /// The endpoint.
+        url: Url,
+        /// What happened.
+        fault: String,
+    },
+}
+
+/// What becomes of the link.
+#[derive(Debug, Clone)]
+pub enum LinkEvent {
+    /// Connected, speaking this MoQ version.
+    Up(String),
+    /// Lost, or not yet made; tried again after the wait.
+    Down {
+        /// What happened.
+        fault: DialError,
+        /// Until the next try.
+        retry_in: Duration,
+    },
+}
+
+impl Dialer {
+    /// Prepares to connect to `endpoint`; with a fingerprint that very certificate is asked for, without one
+    /// the system's authorities decide.
+    ///
+    /// # Errors
+    /// [`DialError::Setup`] when there is no UDP socket or no trust store.
+    pub fn new(endpoint: Url, expected: Option<[u8; 32]>) -> Result<Self, DialError> {
+        let setup = |error: &dyn std::fmt::Display| DialError::Setup(error.to_string());
+        let builder = rustls::ClientConfig::builder_with_provider(crypto_provider())
+            .with_protocol_versions(&[&rustls::version::TLS13])
+            .map_err(|error| setup(&error))?;
+        let mut tls = match expected {
+            Some(expected) => {
+                builder.dangerous().with_custom_certificate_verifier(Arc::new(PinnedCertificate { expected })).with_no_client_auth()
+            }
+            None => {
+                let native = rustls_native_certs::load_native_certs();
+                let mut roots = rustls::RootCertStore::empty();
+                roots.add_parsable_certificates(native.certs);
+                builder.with_root_certificates(roots).with_no_client_auth()
+            }
+        };
+        tls.alpn_protocols = vec![ALPN_H3.to_vec()];
+        let crypto = quinn::crypto::rustls::QuicClientConfig::try_from(tls).map_err(|error| setup(&error))?;
+        let mut config = quinn::ClientConfig::new(Arc::new(crypto));
+        config.transport_config(transport_config());
+        let any_v6 = (std::net::Ipv6Addr::UNSPECIFIED, 0).into();
+        let any_v4 = (std::net::Ipv4Addr::UNSPECIFIED, 0).into();
+        // A v6 socket reaches v4 hosts too; hosts without v6 have only the other.
+        let socket = quinn::Endpoint::client(any_v6).or_else(|_| quinn::Endpoint::client(any_v4)).map_err(|error| setup(&error))?;
+        Ok(Self { client: web_transport_quinn::Client::new(socket, config), endpoint })
+    }
+
+    /// Connects, serves the roles until the connection is lost, and connects again with backoff, for as long
+    /// as the future is polled. Ends only with [`DialError::WrongFingerprint`], which no retry can mend.
+    pub async fn run(self, roles: Roles, mut event: impl FnMut(LinkEvent) + Send) -> DialError {
+        let mut backoff = MIN_BACKOFF;
+        loop {
+            let fault = match self.connect(&roles).await {
+                Ok((session, driver)) => {
+                    backoff = MIN_BACKOFF;
+                    event(LinkEvent::Up(session.version().to_string()));
+                    let end = moq_net::time::run(driver).await;
+                    self.fault(end.to_string())
+                }
+                Err(fault @ DialError::WrongFingerprint { .. }) => return fault,
+                Err(fault) => fault,
+            };
+            event(LinkEvent::Down { fault, retry_in: backoff });
+            tokio::time::sleep(backoff).await;
+            backoff = (backoff * 2).min(MAX_BACKOFF);
+        }
+    }
+
+    async fn connect(&self, roles: &Roles) -> Result<(moq_net::Session, moq_net::Driver<web_transport_quinn::Session>), DialError> {
+        let request = ConnectRequest::new(self.endpoint.clone()).with_protocols(subprotocols());
+        let connected = tokio::time::timeout(CONNECT_TIMEOUT, self.client.connect(request)).await;
+        let session = connected.map_err(|_| self.fault("no answer".to_owned()))?.map_err(|error| self.connect_fault(&error))?;
+        let mut client = moq_net::Client::new();
+        if let Some(publish) = &roles.publish {
+            client = client.with_publisher(publish.clone());
+        }
+        if let Some(subscribe) = &roles.subscribe {
+            client = client.with_subscriber(subscribe.clone());
+        }
+        client.connect(Instant::now(), session).await.map_err(|error| self.fault(error.to_string()))
+    }
+
+    fn fault(&self, fault: String) -> DialError {
+        DialError::Connect { url: self.endpoint.clone(), fault }
+    }
+
+    fn connect_fault(&self, error: &web_transport_quinn::ClientError) -> DialError {
+        let text = error.to_string();
+        // quinn hands the verifier's error on as text alone.
+        let found = text.split_once(MISMATCH).and_then(|(_, rest)| {
+            let mut words = rest.split_whitespace();
+            Some((words.next()?.to_owned(), words.next()?.to_owned()))
+        });
+        match found {
+            Some((got, expected)) => DialError::WrongFingerprint { url: self.endpoint.clone(), got, expected },
+            None => self.fault(text),
+        }
+    }
+}
+
+/// Marks the verifier's refusal in the error text that comes back through QUIC.
+const MISMATCH: &str = "certificate fingerprint mismatch: ";
+
+/// Trusts the one certificate whose SHA-256 the join URL carries, whatever it says of names and dates.
+#[derive(Debug)]
+struct PinnedCertificate {
+    expected: [u8; 32],
+}
+
+impl ServerCertVerifier for PinnedCertificate {
+    fn verify_server_cert(
+        &self,
+        end_entity: &CertificateDer<'_>,
+        _intermediates: &[CertificateDer<'_>],
+        _server_name: &ServerName<'_>,
+        _ocsp_response: &[u8],
+        _now: UnixTime,
+    ) -> Result<ServerCertVerified, rustls::Error> {
+        let got = fingerprint(end_entity);
+        if got == self.expected {
+            return Ok(ServerCertVerified::assertion());
+        }
+        Err(rustls::Error::General(format!("{MISMATCH}{} {} .", hex(&got), hex(&self.expected))))
+    }
+
+    fn verify_tls12_signature(
+        &self,
+        message: &[u8],
+        certificate: &CertificateDer<'_>,
+        signed: &DigitallySignedStruct,
+    ) -> Result<HandshakeSignatureValid, rustls::Error> {
+        rustls::crypto::verify_tls12_signature(message, certificate, signed, &crypto_provider().signature_verification_algorithms)
+    }
+
+    fn verify_tls13_signature(
+        &self,
+        message: &[u8],
+        certificate: &CertificateDer<'_>,
+        signed: &DigitallySignedStruct,
+    ) -> Result<HandshakeSignatureValid, rustls::Error> {
+        rustls::crypto::verify_tls13_signature(message, certificate, signed, &crypto_provider().signature_verification_algorithms)
+    }
+
+    fn supported_verify_schemes(&self) -> Vec<SignatureScheme> {
+        crypto_provider().signature_verification_algorithms.supported_schemes()
+    }
+}
+
+fn hex(bytes: &[u8; 32]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
