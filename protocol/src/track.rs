@@ -1,6 +1,9 @@
 //! Names and priorities of the tracks of a broadcast `mr360/<room>`.
 
-use moq_net::track::Info;
+use std::time::Duration;
+
+use moq_net::Timescale;
+use moq_net::track::{Info, Subscription};
 
 /// H.264, HEVC or AV1 access units in the hang container, one group per GOP.
 pub const VIDEO: &str = "video";
@@ -17,6 +20,10 @@ pub const POSE: &str = "pose";
 
 /// Above every media track of hang (catalog 100): light is a few hundred bytes and every pixel waits for it.
 const LIGHT_PRIORITY: u8 = 110;
+/// Longest time that a picture waits for its light: the playout buffer's bound.
+const LIGHT_MAX_AGE: Duration = Duration::from_millis(500);
+/// As above, for the media themselves.
+const MEDIA_MAX_AGE: Duration = Duration::from_millis(500);
 /// The scene is small and rare.
 const SCENE_PRIORITY: u8 = 105;
 /// Assets are large; they must not hold up the video.
@@ -25,13 +32,37 @@ const ASSET_PRIORITY: u8 = 20;
 /// How the light track is published.
 #[must_use]
 pub fn light_info() -> Info {
-    Info::default().with_priority(LIGHT_PRIORITY)
+    Info::default().with_priority(LIGHT_PRIORITY).with_timescale(Timescale::MICRO).with_max_age(LIGHT_MAX_AGE)
+}
+
+/// How the light track is subscribed: every frame's light is wanted for as long as its picture may wait for it.
+#[must_use]
+pub fn light_subscription() -> Subscription {
+    Subscription::default().with_priority(LIGHT_PRIORITY).with_max_age(LIGHT_MAX_AGE)
+}
+
+/// How media tracks are subscribed: late groups are given up once the playout has moved past them.
+#[must_use]
+pub fn media_subscription(priority: u8) -> Subscription {
+    Subscription::default().with_priority(priority).with_max_age(MEDIA_MAX_AGE)
 }
 
 /// How the scene track is published.
 #[must_use]
 pub fn scene_info() -> Info {
     Info::default().with_priority(SCENE_PRIORITY)
+}
+
+/// How scene and intent tracks are subscribed: the newest group starts with all that is needed.
+#[must_use]
+pub fn scene_subscription() -> Subscription {
+    Subscription::default().with_priority(SCENE_PRIORITY)
+}
+
+/// How an asset track is subscribed.
+#[must_use]
+pub fn asset_subscription() -> Subscription {
+    Subscription::default().with_priority(ASSET_PRIORITY)
 }
 
 /// How an asset track is published.

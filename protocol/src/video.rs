@@ -111,6 +111,8 @@ pub struct CatalogSection {
     pub stereo: StereoLayout,
     /// Colour of the coded video.
     pub colour: Colour,
+    /// Name of the video track that `stereo` and `colour` describe; `None` until the source has come.
+    pub video: Option<String>,
     /// Name of the light method that runs.
     pub method: String,
     /// Name of the light track.
@@ -123,3 +125,13 @@ impl CatalogSection {
     /// Version that this program speaks.
     pub const VERSION: u32 = 1;
 }
+
+/// The catalog's root sections beyond hang's own.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct CatalogExtension {
+    /// Ours; absent on a broadcast that is plain video.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mr360: Option<CatalogSection>,
+}
+
+impl moq_mux::catalog::hang::CatalogExt for CatalogExtension {}
