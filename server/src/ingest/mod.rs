@@ -1,10 +1,95 @@
 //! From any source to access units and decoded frames, at the pace of the source.
+//!
+//! ```text
+//! source ─► session (demux, timeline, pace) ─┬─ passes through ─► access units ─► sink
+//!                                            ├─ sound ──────────────────────────► sink
+//!                                            └─► pictures (decode, reform, encode) ─► access units, frames ─► sink
+//! ```
+//!
+//! [`spawn`] starts it. Files end or loop, network sources are opened again for ever, and nothing of what comes in can end the process.
+
+mod audio;
+mod bitstream;
+mod clock;
+mod colour;
+mod decode;
+mod encode;
+mod error;
+mod frames;
+mod gop;
+mod layout;
+mod open;
+mod pictures;
+mod queue;
+mod raw;
+mod reform;
+mod run;
+mod session;
+mod shared;
+mod source;
+pub mod synthetic;
+#[cfg(test)]
+mod test_media;
+pub mod testcard;
+#[cfg(test)]
+mod tests;
+mod timeline;
+mod watch;
 
 use bytes::Bytes;
 use mr360_protocol::clock::ServerTime;
 use mr360_protocol::video::{Colour, StereoLayout};
 
+pub use self::clock::ServerClock;
+pub use self::error::IngestError;
+pub use self::frames::{DecodeOptions, DecodedFrames, decode_frames};
+pub use self::layout::Projection;
+pub use self::run::{IngestHandle, spawn};
+pub use self::source::{Address, Source};
 use crate::frame::Frame;
+
+/// What is ingested, and what is known of it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct IngestConfig {
+    /// Where it comes from.
+    pub source: Source,
+    /// A file starts again when it ends.
+    pub looped: bool,
+    /// Stereo layout; overrules metadata.
+    pub stereo: Option<StereoLayout>,
+    /// Projection; overrules metadata. Anything but equirect is transcoded.
+    pub projection: Option<Projection>,
+    /// Wider video is transcoded down to this many columns.
+    pub max_width: Option<u32>,
+}
+
+impl IngestConfig {
+    /// The source as it is, once.
+    #[must_use]
+    pub fn new(source: Source) -> Self {
+        Self { source, looped: false, stereo: None, projection: None, max_width: None }
+    }
+
+    fn layout_flags(&self) -> layout::LayoutFlags {
+        layout::LayoutFlags { stereo: self.stereo, projection: self.projection }
+    }
+}
+
+/// Takes what ingest hands on.
+///
+/// Calls come from several of ingest's threads at once, one for each kind of event, so that a sink that is slow with pictures
+/// holds up no packet. It may block: behind a blocked [`IngestEvent::Video`] or [`IngestEvent::Audio`] the source waits, behind a blocked
+/// [`IngestEvent::Frame`] pictures are dropped and counted.
+pub trait Sink: Send + Sync {
+    /// Takes one event.
+    fn event(&self, event: IngestEvent);
+}
+
+impl<F: Fn(IngestEvent) + Send + Sync> Sink for F {
+    fn event(&self, event: IngestEvent) {
+        self(event);
+    }
+}
 
 /// Codec of the broadcast video.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,0 +1,421 @@
+//! One opening of a source: from its packets to access units, sound, and work for the picture thread.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use ffmpeg_next::{Error, Packet};
+
+use super::audio::AudioPath;
+use super::bitstream::AccessUnits;
+use super::colour::{Tags, nearest_supported};
+use super::encode::Coded;
+use super::error::IngestError;
+use super::gop::{self, GopWatch};
+use super::layout::{self, Projection};
+use super::open::{Opened, READ_PATIENCE};
+use super::pictures::{self, Job, Pictures, Stream};
+use super::raw::{self, VideoParameters};
+use super::shared::{Shared, count};
+use super::timeline::{Lane, Timeline, micros};
+use super::{IngestConfig, Source, VideoInfo};
+
+/// Refused reads in a row after which a source counts as lost.
+const MAX_BAD_READS: u32 = 100;
+/// A file that lags behind real time by more than this is paced from there on.
+const PACE_SLIP: Duration = Duration::from_millis(500);
+
+/// How a session ended without an error.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum End {
+    /// The file or stream is over.
+    Over,
+    /// Ingest was asked to stop.
+    Stopped,
+}
+
+/// One opening of a source.
+pub(super) struct Session<'a> {
+    shared: &'a Arc<Shared>,
+    timeline: &'a mut Timeline,
+    opened: Opened,
+    stream: Stream,
+    pictures: Pictures,
+    /// Present while packets pass through.
+    units: Option<AccessUnits>,
+    gop: GopWatch,
+    audio: Option<AudioPath>,
+    pacer: Option<Pacer>,
+    /// No packet is handed on before a keyframe.
+    awaits_keyframe: bool,
+    /// No packet is decoded before a keyframe, as the decoder was too slow.
+    decoder_lags: bool,
+    format: Option<(u32, u32, i32)>,
+    last_dts_us: Option<i64>,
+    video_packets: u64,
+}
+
+/// Layout and decoding needs of an opened source, checked.
+pub(super) fn describe(config: &IngestConfig, name: &str, opened: &Opened) -> Result<Stream, IngestError> {
+    let video = raw::video_parameters(&opened.video.parameters);
+    let flags = config.layout_flags();
+    let layout = layout::decide(name, flags, &opened.video.spherical, &video)?;
+    Ok(Stream {
+        parameters: opened.video.parameters.clone(),
+        spherical: opened.video.spherical.clone(),
+        flags,
+        layout,
+        frame_rate: opened.video.frame_rate,
+        max_width: config.max_width,
+    })
+}
+
+impl<'a> Session<'a> {
+    /// Announces the formats and starts the picture thread. `look_ahead` is what a look into the file has shown.
+    pub(super) fn start(
+        shared: &'a Arc<Shared>,
+        timeline: &'a mut Timeline,
+        config: &IngestConfig,
+        opened: Opened,
+        look_ahead: Option<String>,
+    ) -> Result<Self, IngestError> {
+        let stream = describe(config, &shared.name, &opened)?;
+        let video = raw::video_parameters(&stream.parameters);
+        let (audio, audio_info) = open_audio(&shared.name, &opened);
+        let because = transcode_reason(&stream, &video, &opened, look_ahead);
+        let pictures = Pictures::start(shared, stream.clone())?;
+        let mut session = Self {
+            shared,
+            timeline,
+            pictures,
+            units: None,
+            gop: GopWatch::default(),
+            audio,
+            pacer: is_paced(&config.source).then(Pacer::default),
+            awaits_keyframe: true,
+            decoder_lags: false,
+            format: None,
+            last_dts_us: None,
+            video_packets: 0,
+            stream,
+            opened,
+        };
+        match because {
+            Some(reason) => session.transcode(reason, audio_info)?,
+            None => {
+                let codec = gop::broadcast_codec(session.stream.parameters.id());
+                let units = codec.map(|codec| AccessUnits::new(codec, &session.stream.parameters)).transpose();
+                let units = units.map_err(|error| IngestError::NotAVideo { input: shared.name.clone(), detail: error.to_string() })?;
+                session.units = units;
+                tracing::info!(input = shared.name, ?codec, width = video.width, height = video.height, "video passes through");
+                if let Some(info) = passthrough_info(&session.stream, &video) {
+                    shared.announce(info, audio_info);
+                }
+            }
+        }
+        Ok(session)
+    }
+
+    /// Reads until the source ends. The number tells how many video packets came.
+    pub(super) fn run(mut self, looped: bool) -> (Result<End, IngestError>, u64) {
+        let result = loop {
+            let before = self.video_packets;
+            match self.read_through() {
+                Ok(End::Over) if looped && self.video_packets > before => {
+                    if let Err(error) = self.rewind() {
+                        break Err(error);
+                    }
+                }
+                Ok(End::Over) if looped => {
+                    let detail = "no video packet could be read".to_owned();
+                    break Err(IngestError::NotAVideo { input: self.shared.name.clone(), detail });
+                }
+                other => break other,
+            }
+        };
+        let packets = self.video_packets;
+        self.pictures.finish();
+        (self.shared.take_failure().map_or(result, Err), packets)
+    }
+
+    fn read_through(&mut self) -> Result<End, IngestError> {
+        let mut bad = 0;
+        loop {
+            if self.shared.watch.stopped() {
+                return Ok(End::Stopped);
+            }
+            self.shared.watch.allow(READ_PATIENCE);
+            let mut packet = Packet::empty();
+            match packet.read(&mut self.opened.input) {
+                Ok(()) => bad = 0,
+                Err(_) if self.shared.watch.stopped() => return Ok(End::Stopped),
+                Err(Error::Eof) => return Ok(End::Over),
+                Err(Error::Exit) => return Err(self.lost(&format!("no data for {} s", READ_PATIENCE.as_secs()))),
+                Err(Error::Other { errno }) if errno == ffmpeg_next::error::EAGAIN => {
+                    self.shared.watch.sleep_until(Instant::now() + Duration::from_millis(5));
+                    continue;
+                }
+                Err(Error::InvalidData) if bad < MAX_BAD_READS => {
+                    bad += 1;
+                    count(&self.shared.counters.corrupt_packets);
+                    continue;
+                }
+                Err(error) => return Err(self.lost(&error.to_string())),
+            }
+            if !self.packet(packet)? {
+                return Ok(End::Stopped);
+            }
+        }
+    }
+
+    fn lost(&self, detail: &str) -> IngestError {
+        IngestError::Lost { input: self.shared.name.clone(), detail: detail.to_owned() }
+    }
+
+    /// Back to the start of the file; timestamps go on.
+    fn rewind(&mut self) -> Result<(), IngestError> {
+        self.opened.input.seek(i64::MIN, ..).map_err(|error| self.lost(&format!("cannot start again: {error}")))?;
+        self.timeline.repeat();
+        self.gop.reset();
+        self.last_dts_us = None;
+        self.awaits_keyframe = true;
+        self.pictures.push(Job::Seek);
+        Ok(())
+    }
+
+    /// False when stopped.
+    fn packet(&mut self, packet: Packet) -> Result<bool, IngestError> {
+        if packet.is_corrupt() {
+            count(&self.shared.counters.corrupt_packets);
+        }
+        if packet.stream() == self.opened.video.index {
+            self.video_packets += 1;
+            return self.video(packet);
+        }
+        if self.opened.audio.as_ref().is_some_and(|audio| audio.index == packet.stream()) {
+            return Ok(self.sound(packet));
+        }
+        Ok(true)
+    }
+
+    fn video(&mut self, mut packet: Packet) -> Result<bool, IngestError> {
+        let step_us = self.step_us();
+        let time_base = self.opened.video.time_base;
+        let dts_us = packet.dts().or(packet.pts()).map(|dts| micros(dts, time_base));
+        let dts_us = dts_us.unwrap_or_else(|| self.last_dts_us.map_or(0, |last| last + step_us));
+        self.last_dts_us = Some(dts_us);
+        let offset = self.offset(Lane::Video, dts_us, step_us);
+        let pts_us = packet.pts().map_or(dts_us, |pts| micros(pts, time_base)) + offset;
+        if !self.pace(dts_us + offset) {
+            return Ok(false);
+        }
+        if self.awaits_keyframe && !packet.is_key() {
+            return Ok(true);
+        }
+        self.awaits_keyframe = false;
+        packet.set_pts(Some(pts_us));
+        packet.set_dts(Some(dts_us + offset));
+        if self.units.is_some() {
+            match self.gop.observe(packet.is_key(), pts_us) {
+                None => return self.pass_through(packet, pts_us).map(|()| true),
+                Some(reason) => {
+                    let audio = self.audio.as_ref().map(|audio| audio.info.clone());
+                    self.transcode(reason, audio)?;
+                }
+            }
+        }
+        Ok(self.pictures.push(Job::Packet(packet, self.shared.clock.now())))
+    }
+
+    fn pass_through(&mut self, mut packet: Packet, pts_us: i64) -> Result<(), IngestError> {
+        let ingested = self.shared.clock.now();
+        let pts_us = self.shared.rise_video(pts_us);
+        let stamp = i64::try_from(pts_us).ok();
+        packet.set_pts(stamp);
+        packet.set_dts(stamp);
+        let keyframe = packet.is_key();
+        let for_decoder = packet.clone();
+        let Some(units) = &mut self.units else { return Ok(()) };
+        match units.convert(&mut packet) {
+            Ok(Some(unit)) => {
+                if let Some(format) = unit.format {
+                    self.check_format(format)?;
+                }
+                self.shared.send_coded(Coded { pts_us: stamp.unwrap_or(0), keyframe, data: unit.data }, ingested);
+            }
+            Ok(None) => {}
+            Err(error) => {
+                count(&self.shared.counters.corrupt_packets);
+                tracing::debug!(input = self.shared.name, %error, "an access unit could not be read");
+                return Ok(());
+            }
+        }
+        self.decode(for_decoder, keyframe, ingested)
+    }
+
+    /// Hands a packet on for light; where the decoder lags, none until the next keyframe.
+    fn decode(&mut self, packet: Packet, keyframe: bool, ingested: mr360_protocol::clock::ServerTime) -> Result<(), IngestError> {
+        if self.decoder_lags && !keyframe {
+            count(&self.shared.counters.frames_without_light);
+            return Ok(());
+        }
+        self.decoder_lags = !self.pictures.try_push(Job::Packet(packet, ingested));
+        if self.decoder_lags {
+            count(&self.shared.counters.frames_without_light);
+            if let Some(error) = self.shared.take_failure() {
+                return Err(error);
+            }
+        }
+        Ok(())
+    }
+
+    /// Announces the formats anew where a keyframe's headers differ from the last keyframe's.
+    fn check_format(&mut self, format: (u32, u32, i32)) -> Result<(), IngestError> {
+        let announced = self.shared.announced().map(|(video, _)| (video.width, video.height));
+        let changed = self.format.replace(format).is_some_and(|known| known != format);
+        if !changed && announced == Some((format.0, format.1)) {
+            return Ok(());
+        }
+        let video = VideoParameters { width: format.0, height: format.1, ..raw::video_parameters(&self.stream.parameters) };
+        self.stream.layout = layout::decide(&self.shared.name, self.stream.flags, &self.stream.spherical, &video)?;
+        if let Some(info) = passthrough_info(&self.stream, &video) {
+            self.shared.announce(info, self.audio.as_ref().map(|audio| audio.info.clone()));
+        }
+        Ok(())
+    }
+
+    /// From the next packet on the video is transcoded.
+    fn transcode(&mut self, reason: String, audio: Option<super::AudioInfo>) -> Result<(), IngestError> {
+        tracing::warn!(input = self.shared.name, reason, "video is transcoded");
+        self.units = None;
+        let video = raw::video_parameters(&self.stream.parameters);
+        let size = self.format.map_or((video.width, video.height), |(width, height, _)| (width, height));
+        let encoding = pictures::encoding(&self.stream, &Tags::of_stream(&video), size);
+        encoding.check(&self.shared.name)?;
+        self.shared.announce(pictures::video_info(&encoding, self.stream.layout, Some(reason.clone())), audio);
+        self.pictures.push(Job::Encode(reason));
+        Ok(())
+    }
+
+    /// False when stopped. Sound that cannot be read is left out.
+    fn sound(&mut self, mut packet: Packet) -> bool {
+        let (Some(path), Some(stream)) = (&mut self.audio, &self.opened.audio) else { return true };
+        let Some(dts) = packet.dts().or(packet.pts()) else { return true };
+        let dts_us = micros(dts, stream.time_base);
+        let step_us = micros(packet.duration(), stream.time_base);
+        let offset = self.timeline.offset(Lane::Audio, dts_us, step_us, i64::try_from(self.shared.clock.now().0).unwrap_or(i64::MAX));
+        let pts_us = packet.pts().map_or(dts_us, |pts| micros(pts, stream.time_base)) + offset;
+        packet.set_pts(Some(pts_us));
+        packet.set_dts(Some(dts_us + offset));
+        match path.convert(&packet, pts_us) {
+            Ok(sounds) => {
+                for sound in sounds {
+                    self.shared.send_sound(sound.pts_us, sound.data);
+                }
+            }
+            Err(error) => {
+                count(&self.shared.counters.corrupt_packets);
+                tracing::debug!(input = self.shared.name, %error, "a sound packet could not be read");
+            }
+        }
+        self.pace(dts_us + offset)
+    }
+
+    fn offset(&mut self, lane: Lane, dts_us: i64, step_us: i64) -> i64 {
+        let now_us = i64::try_from(self.shared.clock.now().0).unwrap_or(i64::MAX);
+        let offset = self.timeline.offset(lane, dts_us, step_us, now_us);
+        for _ in 0..self.timeline.take_jumps() {
+            count(&self.shared.counters.timestamp_jumps);
+            tracing::warn!(input = self.shared.name, "the source's timestamps jumped and were mended");
+        }
+        offset
+    }
+
+    fn pace(&mut self, due_us: i64) -> bool {
+        match &mut self.pacer {
+            Some(pacer) => !self.shared.watch.sleep_until(pacer.due(due_us, Instant::now())),
+            None => true,
+        }
+    }
+
+    fn step_us(&self) -> i64 {
+        (1_000_000.0 / self.stream.frame_rate) as i64
+    }
+}
+
+/// Files and HTTP come as fast as they can be read; everything else comes at its own pace.
+fn is_paced(source: &Source) -> bool {
+    match source {
+        Source::File(_) => true,
+        Source::Url(address) => address.scheme.starts_with("http"),
+        Source::Synthetic(_) => false,
+    }
+}
+
+fn open_audio(name: &str, opened: &Opened) -> (Option<AudioPath>, Option<super::AudioInfo>) {
+    let audio = opened.audio.as_ref().and_then(|audio| {
+        AudioPath::new(&audio.parameters)
+            .inspect_err(|reason| tracing::warn!(input = name, reason, "the sound is left out; send AAC or Opus"))
+            .ok()
+    });
+    let info = audio.as_ref().map(|audio| audio.info.clone());
+    (audio, info)
+}
+
+fn transcode_reason(stream: &Stream, video: &VideoParameters, opened: &Opened, look_ahead: Option<String>) -> Option<String> {
+    if stream.layout.projection != Projection::Equirect {
+        return Some(format!("its projection is {:?}", stream.layout.projection));
+    }
+    if let Some(limit) = stream.max_width.filter(|&limit| video.width > limit) {
+        return Some(format!("it is {} pixels wide, at most {limit} are wanted", video.width));
+    }
+    gop::unsuited(&opened.video).or(look_ahead)
+}
+
+fn passthrough_info(stream: &Stream, video: &VideoParameters) -> Option<VideoInfo> {
+    let tags = Tags::of_stream(video);
+    Some(VideoInfo {
+        codec: gop::broadcast_codec(stream.parameters.id())?,
+        width: video.width,
+        height: video.height,
+        frame_rate: stream.frame_rate,
+        stereo: stream.layout.stereo,
+        colour: tags.colour(nearest_supported(video.pixel)),
+        transcoded_because: None,
+    })
+}
+
+/// Paces packets to real time by their timestamps.
+#[derive(Default)]
+struct Pacer {
+    anchor: Option<(Instant, i64)>,
+}
+
+impl Pacer {
+    /// When a packet of this timestamp is due.
+    fn due(&mut self, pts_us: i64, now: Instant) -> Instant {
+        let (start, first_us) = *self.anchor.get_or_insert((now, pts_us));
+        let due = start + Duration::from_micros(u64::try_from(pts_us - first_us).unwrap_or(0));
+        if now.saturating_duration_since(due) > PACE_SLIP {
+            self.anchor = Some((now, pts_us));
+            return now;
+        }
+        due
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pace_follows_timestamps_and_forgives_a_stall() {
+        let mut pacer = Pacer::default();
+        let start = Instant::now();
+        let after = |ms| start + Duration::from_millis(ms);
+        assert_eq!(pacer.due(1_000_000, start), start);
+        assert_eq!(pacer.due(1_040_000, after(3)), after(40));
+        assert_eq!(pacer.due(900_000, after(3)), start);
+        assert_eq!(pacer.due(1_080_000, after(10_000)), after(10_000));
+        assert_eq!(pacer.due(1_120_000, after(10_001)), after(10_040));
+    }
+}
