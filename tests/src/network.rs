@@ -59,7 +59,7 @@ struct Quantiles {
     p95: f64,
 }
 
-/// Runs the bench and writes `network.csv`, `network.md`, `network-age.svg` and `network-server.svg`.
+/// Runs the bench and writes `network.csv`, `network.md` and the charts `network-{age,cpu,memory}.svg`.
 ///
 /// # Errors
 /// When a program fails, writes no statistics, or the results cannot be written.
@@ -161,7 +161,7 @@ fn write(options: &Options, runs: &[Run]) -> Result<()> {
     let summary = format!(
         "# Network\n\n`mr360-bench network`: source `{}`, {} s a run, the first second of each viewer left out. Server and viewers \
          ({}, headless) share one machine with {cores} cores: ages include the wait for a core.\n\n{}\n\
-         Payload of the tracks, as the server published it:\n\n{}\n![Age](network-age.svg)\n\n![Server](network-server.svg)\n",
+         Payload of the tracks, as the server published it:\n\n{}\n![Age](network-age.svg)\n\n![CPU](network-cpu.svg)\n\n![Memory](network-memory.svg)\n",
         options.source,
         options.seconds,
         options.size,
@@ -172,7 +172,8 @@ fn write(options: &Options, runs: &[Run]) -> Result<()> {
         ("network.csv", table.csv()),
         ("network.md", summary),
         ("network-age.svg", age_chart(runs).svg()?),
-        ("network-server.svg", server_chart(runs).svg()?),
+        ("network-cpu.svg", cpu_chart(runs).svg()?),
+        ("network-memory.svg", memory_chart(runs).svg()?),
     ] {
         save(&options.out, name, &content)?;
     }
@@ -253,15 +254,21 @@ fn age_chart(runs: &[Run]) -> Chart {
     }
 }
 
-fn server_chart(runs: &[Run]) -> Chart {
+fn cpu_chart(runs: &[Run]) -> Chart {
     Chart {
-        title: "What the server needs".to_owned(),
+        title: "Computing by the server".to_owned(),
         x: viewers_axis(),
-        y: Axis { label: "cores; memory / 100 MiB".to_owned(), scale: Scale::Linear },
-        series: vec![
-            series("CPU, cores", runs, |run| run.server_cores),
-            series("peak memory, 100 MiB", runs, |run| mebibytes(run.server_peak_bytes) / 100.0),
-        ],
+        y: Axis { label: "cores".to_owned(), scale: Scale::Linear },
+        series: vec![series("server", runs, |run| run.server_cores)],
+    }
+}
+
+fn memory_chart(runs: &[Run]) -> Chart {
+    Chart {
+        title: "Memory of the server".to_owned(),
+        x: viewers_axis(),
+        y: Axis { label: "peak resident / MiB".to_owned(), scale: Scale::Linear },
+        series: vec![series("server", runs, |run| mebibytes(run.server_peak_bytes))],
     }
 }
 
@@ -317,7 +324,9 @@ mod tests {
         assert!(summary.contains("| 2 | 10 | 30 | 20 | 30 | 25 | 40 | 0.5 | 64 |"), "{summary}");
         assert!(summary.contains("| 1 | light | 3000 | 0.75 % |"), "{summary}");
         assert_eq!(fs::read_to_string(folder.path().join("network.csv")).unwrap().lines().count(), 3);
-        assert!(folder.path().join("network-age.svg").is_file() && folder.path().join("network-server.svg").is_file());
+        for chart in ["network-age.svg", "network-cpu.svg", "network-memory.svg"] {
+            assert!(folder.path().join(chart).is_file(), "{chart}");
+        }
     }
 
     #[test]
