@@ -1,0 +1,238 @@
+//! Line and scatter charts with linear or logarithmic axes, as SVG.
+
+use anyhow::{Result, ensure};
+
+use crate::svg::{Anchor, Svg};
+
+/// Colours that stay apart for colour-blind readers too (Okabe & Ito 2008).
+const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000"];
+const SIZE: (f64, f64) = (760.0, 420.0);
+/// Left, top, right, bottom; the right one holds the legend.
+const MARGIN: (f64, f64, f64, f64) = (76.0, 44.0, 190.0, 56.0);
+const FONT: f64 = 12.0;
+
+/// How values become lengths.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Scale {
+    /// Even steps; the axis includes zero.
+    Linear,
+    /// Even factors; values must be positive.
+    Log,
+}
+
+/// An axis.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Axis {
+    /// What is measured, with its unit.
+    pub label: String,
+    /// How values become lengths.
+    pub scale: Scale,
+}
+
+/// How points are drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Mark {
+    /// Dots joined in the order given.
+    Line,
+    /// Dots alone.
+    Scatter,
+}
+
+/// Points that belong together.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Series {
+    /// Name in the legend.
+    pub name: String,
+    /// x and y.
+    pub points: Vec<(f64, f64)>,
+    /// How they are drawn.
+    pub mark: Mark,
+}
+
+/// A chart.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Chart {
+    /// Above it.
+    pub title: String,
+    /// To the right.
+    pub x: Axis,
+    /// Upwards.
+    pub y: Axis,
+    /// In the order of the legend.
+    pub series: Vec<Series>,
+}
+
+impl Chart {
+    /// Draws it.
+    ///
+    /// # Errors
+    /// When there is no point, a value is not finite, or one on a logarithmic axis is not positive.
+    pub fn svg(&self) -> Result<String> {
+        let all = || self.series.iter().flat_map(|series| &series.points);
+        let (left, top, right, bottom) = MARGIN;
+        let x = Ruler::new(&self.x, all().map(|p| p.0), (left, SIZE.0 - right), &self.title)?;
+        let y = Ruler::new(&self.y, all().map(|p| p.1), (SIZE.1 - bottom, top), &self.title)?;
+        let mut svg = Svg::new(SIZE.0, SIZE.1);
+        svg.text((left, top - 18.0), Anchor::Start, FONT + 3.0, 0.0, &self.title);
+        x.draw_across(&mut svg, &self.x.label, &y);
+        y.draw_up(&mut svg, &self.y.label, &x);
+        for (at, (series, colour)) in self.series.iter().zip(COLOURS.iter().cycle()).enumerate() {
+            let points: Vec<_> = series.points.iter().map(|(vx, vy)| (x.place(*vx), y.place(*vy))).collect();
+            if series.mark == Mark::Line {
+                svg.polyline(&points, colour, 2.0);
+            }
+            for (place, (vx, vy)) in points.iter().zip(&series.points) {
+                svg.dot(*place, 3.5, colour, &format!("{}: {}, {}", series.name, number(*vx), number(*vy)));
+            }
+            let row = top + 10.0 + at as f64 * (FONT + 8.0);
+            svg.dot((SIZE.0 - right + 20.0, row - 4.0), 5.0, colour, &series.name);
+            svg.text((SIZE.0 - right + 32.0, row), Anchor::Start, FONT, 0.0, &series.name);
+        }
+        Ok(svg.finish())
+    }
+}
+
+/// An axis with its range, laid between two pixels.
+struct Ruler {
+    scale: Scale,
+    range: (f64, f64),
+    pixels: (f64, f64),
+    ticks: Vec<f64>,
+}
+
+impl Ruler {
+    fn new(axis: &Axis, values: impl Iterator<Item = f64>, pixels: (f64, f64), title: &str) -> Result<Self> {
+        let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+        for value in values {
+            let fits = value.is_finite() && (axis.scale == Scale::Linear || value > 0.0);
+            ensure!(fits, "chart {title:?}: {value} does not fit the {:?} axis {:?}", axis.scale, axis.label);
+            (low, high) = (low.min(value), high.max(value));
+        }
+        ensure!(low <= high, "chart {title:?}: no points");
+        let ticks = match axis.scale {
+            Scale::Linear => linear_ticks(low.min(0.0), high.max(0.0)),
+            Scale::Log => log_ticks(low, high),
+        };
+        let range = (ticks.first().copied().unwrap_or(low), ticks.last().copied().unwrap_or(high));
+        Ok(Self { scale: axis.scale, range, pixels, ticks })
+    }
+
+    fn place(&self, value: f64) -> f64 {
+        let along = match self.scale {
+            Scale::Linear => (value - self.range.0) / (self.range.1 - self.range.0),
+            Scale::Log => (value / self.range.0).ln() / (self.range.1 / self.range.0).ln(),
+        };
+        self.pixels.0 + along * (self.pixels.1 - self.pixels.0)
+    }
+
+    fn draw_across(&self, svg: &mut Svg, label: &str, up: &Self) {
+        let (bottom, top) = up.pixels;
+        for &tick in &self.ticks {
+            let x = self.place(tick);
+            svg.line((x, bottom), (x, top), "#ddd", 1.0);
+            svg.text((x, bottom + FONT + 6.0), Anchor::Middle, FONT, 0.0, &number(tick));
+        }
+        svg.line((self.pixels.0, bottom), (self.pixels.1, bottom), "#222", 1.0);
+        svg.text((f64::midpoint(self.pixels.0, self.pixels.1), bottom + 42.0), Anchor::Middle, FONT, 0.0, label);
+    }
+
+    fn draw_up(&self, svg: &mut Svg, label: &str, across: &Self) {
+        let (left, right) = across.pixels;
+        for &tick in &self.ticks {
+            let y = self.place(tick);
+            svg.line((left, y), (right, y), "#ddd", 1.0);
+            svg.text((left - 6.0, y + 4.0), Anchor::End, FONT, 0.0, &number(tick));
+        }
+        svg.line((left, self.pixels.0), (left, self.pixels.1), "#222", 1.0);
+        svg.text((20.0, f64::midpoint(self.pixels.0, self.pixels.1)), Anchor::Middle, FONT, -90.0, label);
+    }
+}
+
+/// Four to ten multiples of 1, 2 or 5 times a power of ten, the outer ones around `low` and `high`.
+fn linear_ticks(low: f64, high: f64) -> Vec<f64> {
+    let span = if high > low { high - low } else { 1.0 };
+    let power = 10_f64.powf((span / 4.0).log10().floor());
+    let step = [5.0, 2.0].into_iter().map(|factor| factor * power).find(|step| span / step >= 4.0).unwrap_or(power);
+    let (first, last) = ((low / step).floor(), ((low + span) / step).ceil());
+    (0..=(last - first) as u32).map(|at| (first + f64::from(at)) * step).collect()
+}
+
+/// 1, 2 and 5 times powers of ten, or powers of ten alone over more than three, the outer ones around `low` and `high`.
+fn log_ticks(low: f64, high: f64) -> Vec<f64> {
+    let (first, last) = (low.log10().floor() as i32, high.log10().floor() as i32 + 1);
+    let factors: &[f64] = if last - first > 3 { &[1.0] } else { &[1.0, 2.0, 5.0] };
+    let all: Vec<f64> = (first..=last).flat_map(|power| factors.iter().map(move |factor| factor * 10_f64.powi(power))).collect();
+    // One on or below the lowest value and one above the highest are enough.
+    let from = all.iter().rposition(|&tick| tick <= low).unwrap_or(0);
+    let to = all.iter().position(|&tick| tick > high).unwrap_or(all.len() - 1);
+    all.get(from..=to).unwrap_or(&all).to_vec()
+}
+
+/// Short form of a number: at most four significant digits, no trailing zeros.
+#[must_use]
+pub fn number(value: f64) -> String {
+    if value == 0.0 {
+        return "0".to_owned();
+    }
+    let power = value.abs().log10().floor() as i32;
+    if !(-4..=6).contains(&power) {
+        return format!("{value:.2e}");
+    }
+    let text = format!("{value:.*}", usize::try_from(3 - power).unwrap_or(0));
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn axis(scale: Scale) -> Axis {
+        Axis { label: "time / ms".to_owned(), scale }
+    }
+
+    fn chart(scale: Scale, points: &[(f64, f64)]) -> Chart {
+        let series = Series { name: "a & b".to_owned(), points: points.to_vec(), mark: Mark::Line };
+        Chart { title: "t".to_owned(), x: axis(scale), y: axis(Scale::Linear), series: vec![series] }
+    }
+
+    #[test]
+    fn ticks_enclose_the_values() {
+        assert_eq!(linear_ticks(0.0, 10.0), [0.0, 2.0, 4.0, 6.0, 8.0, 10.0]);
+        assert_eq!(linear_ticks(0.0, 3.2), [0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5]);
+        assert_eq!(linear_ticks(0.0, 0.0).first(), Some(&0.0));
+        assert_eq!(log_ticks(1.5, 30.0), [1.0, 2.0, 5.0, 10.0, 20.0, 50.0]);
+        assert_eq!(log_ticks(1.0, 1.0), [1.0, 2.0]);
+        assert_eq!(log_ticks(3.0, 40_000.0), [1.0, 10.0, 100.0, 1000.0, 10_000.0, 100_000.0]);
+    }
+
+    #[test]
+    fn places_follow_the_scale() {
+        let linear = Ruler::new(&axis(Scale::Linear), [0.0, 10.0].into_iter(), (0.0, 100.0), "t").unwrap();
+        assert!((linear.place(5.0) - 50.0).abs() < 1e-9);
+        let log = Ruler::new(&axis(Scale::Log), [1.0, 99.0].into_iter(), (100.0, 0.0), "t").unwrap();
+        assert!((log.place(10.0) - 50.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_chart_holds_every_point_and_its_names() {
+        let svg = chart(Scale::Log, &[(1.0, 2.0), (10.0, 3.0)]).svg().unwrap();
+        assert!(svg.contains("a &amp; b: 1, 2") && svg.contains("a &amp; b: 10, 3") && svg.contains("time / ms"));
+        assert_eq!(svg.matches("<polyline").count(), 1);
+    }
+
+    #[test]
+    fn what_cannot_be_drawn_is_refused() {
+        assert!(chart(Scale::Linear, &[]).svg().unwrap_err().to_string().contains("no points"));
+        assert!(chart(Scale::Log, &[(0.0, 1.0)]).svg().unwrap_err().to_string().contains("does not fit"));
+        assert!(chart(Scale::Linear, &[(f64::NAN, 1.0)]).svg().is_err());
+    }
+
+    #[test]
+    fn numbers_are_short() {
+        for (value, text) in
+            [(0.0, "0"), (1.0, "1"), (0.125, "0.125"), (1234.56, "1235"), (-20.0, "-20"), (1e9, "1.00e9"), (100_000.0, "100000")]
+        {
+            assert_eq!(number(value), text);
+        }
+    }
+}
