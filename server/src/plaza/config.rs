@@ -6,7 +6,9 @@ use thiserror::Error;
 #[derive(Debug, Error, Clone, PartialEq)]
 pub enum PlazaError {
     /// The picture is not a 2:1 equirect of a supported size.
-    #[error("synthetic:plaza: size {width}x{height} is not possible; give a width of 64 to 8192, even, and half of it, even, as height, such as size=1280x640")]
+    #[error(
+        "synthetic:plaza: size {width}x{height} is not possible; give a width of 64 to 8192, even, and half of it, even, as height, such as size=1280x640"
+    )]
     Size {
         /// Columns asked for.
         width: u32,

@@ -151,8 +151,11 @@ impl Facade {
         } else if p.y < self.ground_floor - 0.2 && !self.shop {
             // Ashlar joints on the ground floor.
             let course = (p.y / 0.48).floor();
-            let joint = groove(p.y / 0.48, 0.03 / 0.48, wall.footprint / 0.48)
-                .max(groove(p.x / 1.1 + 0.5 * course.rem_euclid(2.0), 0.03 / 1.1, wall.footprint / 1.1));
+            let joint = groove(p.y / 0.48, 0.03 / 0.48, wall.footprint / 0.48).max(groove(
+                p.x / 1.1 + 0.5 * course.rem_euclid(2.0),
+                0.03 / 1.1,
+                wall.footprint / 1.1,
+            ));
             albedo *= 0.94 * (1.0 - 0.35 * joint);
         }
         Surface::matt(albedo.max(Vec3::splat(0.02)))

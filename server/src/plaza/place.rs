@@ -8,7 +8,7 @@ use super::geometry::{Ray, Shape, pyramid, roof};
 use super::noise::unit3;
 
 /// Height of the ground under the camera at the origin, metres.
-pub const GROUND_Y: f32 = -1.6;
+pub(super) const GROUND_Y: f32 = -1.6;
 
 /// What a primitive is made of.
 #[derive(Debug, Clone, Copy)]
@@ -54,7 +54,9 @@ impl Place {
         town(&mut build);
         skyline(&mut build, seed);
         furniture(&mut build);
-        for (at, size) in [(Vec3::new(10.2, GROUND_Y, -12.0), 1.0), (Vec3::new(-11.5, GROUND_Y, -7.5), 0.9), (Vec3::new(9.0, GROUND_Y, 11.5), 1.1)] {
+        for (at, size) in
+            [(Vec3::new(10.2, GROUND_Y, -12.0), 1.0), (Vec3::new(-11.5, GROUND_Y, -7.5), 0.9), (Vec3::new(9.0, GROUND_Y, 11.5), 1.1)]
+        {
             tree(&mut build, at, size, seed);
         }
         let bvh = Bvh::new(&build.shapes);
@@ -115,11 +117,7 @@ impl Builder {
         if roof_rise > 0.0 {
             let (x, z) = (grown(x, 0.5), grown(z, 0.5));
             let eaves = GROUND_Y + height + 0.08;
-            self.add(
-                "roof",
-                Material::Tiles(tiles),
-                roof(Vec3::new(x[0], eaves, z[0]), Vec3::new(x[1], eaves, z[1]), roof_rise, hip),
-            );
+            self.add("roof", Material::Tiles(tiles), roof(Vec3::new(x[0], eaves, z[0]), Vec3::new(x[1], eaves, z[1]), roof_rise, hip));
         } else {
             let edge = Material::Plain(facade.wall * 0.9);
             self.block("parapet", edge, [x[0], x[1]], [height + 0.08, height + 0.85], [z[0], z[0] + 0.3]);
@@ -136,7 +134,8 @@ const SLATE: Vec3 = Vec3::new(0.15, 0.16, 0.18);
 
 fn town(b: &mut Builder) {
     let base = Facade::default();
-    let hall = Facade { wall: Vec3::new(0.66, 0.55, 0.38), ground_floor: 4.6, floor: 4.0, bay: 2.5, window: [1.15, 2.3], arched: true, ..base };
+    let hall =
+        Facade { wall: Vec3::new(0.66, 0.55, 0.38), ground_floor: 4.6, floor: 4.0, bay: 2.5, window: [1.15, 2.3], arched: true, ..base };
     let salmon = Facade { wall: Vec3::new(0.60, 0.30, 0.20), shutters: Some(Vec3::new(0.10, 0.21, 0.17)), shop: true, ..base };
     let yellow = Facade { wall: Vec3::new(0.68, 0.49, 0.20), shutters: Some(Vec3::new(0.14, 0.22, 0.30)), shop: true, bay: 2.7, ..base };
     let grey = Facade { wall: Vec3::new(0.42, 0.44, 0.46), bay: 2.4, window: [1.3, 2.0], floor: 3.3, ..base };
@@ -180,7 +179,11 @@ fn arcade(b: &mut Builder, left: f32, right: f32, wall_z: f32) {
     b.block("handrail", Material::Plain(STONE * 1.08), [left, right], [5.65, 5.8], [front - 0.15, front + 0.1]);
     for i in 0..48u32 {
         let x = left + 0.2 + (right - left - 0.4) * i as f32 / 47.0;
-        b.add("baluster", Material::Plain(STONE), Shape::Cylinder { base: Vec3::new(x, GROUND_Y + 4.9, front - 0.03), radius: 0.07, height: 0.75 });
+        b.add(
+            "baluster",
+            Material::Plain(STONE),
+            Shape::Cylinder { base: Vec3::new(x, GROUND_Y + 4.9, front - 0.03), radius: 0.07, height: 0.75 },
+        );
     }
 }
 
@@ -198,7 +201,11 @@ fn clock_tower(b: &mut Builder) {
     }
     b.block("cornice", trim, [4.9, 9.5], [23.4, 23.8], [-32.5, -27.9]);
     let eaves = GROUND_Y + 23.8;
-    b.add("spire", Material::Tiles(Vec3::new(0.16, 0.27, 0.24)), roof(Vec3::new(4.9, eaves, -32.5), Vec3::new(9.5, eaves, -27.9), 6.5, 1.0));
+    b.add(
+        "spire",
+        Material::Tiles(Vec3::new(0.16, 0.27, 0.24)),
+        roof(Vec3::new(4.9, eaves, -32.5), Vec3::new(9.5, eaves, -27.9), 6.5, 1.0),
+    );
 }
 
 /// Cloth over the shops on the right, and parasols before them.
