@@ -1,0 +1,250 @@
+//! The sky: Preetham, Shirley & Smits 1999, "A Practical Analytic Model for Daylight", with an aureole and a few clouds.
+
+use std::f32::consts::{FRAC_PI_2, PI, TAU};
+
+use glam::{Mat3, Vec2, Vec3};
+
+use super::config::{Clouds, PlazaConfig};
+use super::noise::{fbm2, smoothstep};
+
+/// The sun's angular radius: half of 0.533°.
+pub(super) const SUN_RADIUS_RAD: f32 = 0.266_5 * PI / 180.0;
+/// Albedo of the pavement that the exposure is set for, and the linear value that it shall have in the sun.
+const EXPOSURE_ALBEDO: f32 = 0.36;
+const EXPOSURE_TARGET: f32 = 0.36;
+/// Haziness in Preetham's scale: 2 is a very clear day, 6 hazy.
+const TURBIDITY: f32 = 2.6;
+/// Illuminance of the sun above the atmosphere, klx.
+const EXTRATERRESTRIAL_KLX: f32 = 128.0;
+/// The zenith formula overrates clear skies against measured ones, about 1 : 4 to the sun on level ground.
+const SKY_SHARE: f32 = 0.6;
+/// Share of the sun's light that is scattered into the aureole, and the angle over which that falls by e.
+const AUREOLE_SHARE: f32 = 0.03;
+const AUREOLE_RAD: f32 = 0.032;
+
+/// A sky, exposed: display white is 1.
+pub(super) struct Sky {
+    /// Unit vector to the sun's centre.
+    pub(super) sun: Vec3,
+    /// Irradiance of the disc on a surface that faces it.
+    pub(super) sun_irradiance: Vec3,
+    /// Irradiance of the aureole on the same surface; shading takes it from the sun's direction.
+    pub(super) aureole_irradiance: Vec3,
+    /// Irradiance of the unobstructed sky, without sun and aureole, on level ground.
+    pub(super) up_irradiance: Vec3,
+    /// Radiance at the horizon away from the sun: the colour of distance.
+    pub(super) haze: Vec3,
+    exposure: f32,
+    perez: [Perez; 3],
+    clouds: bool,
+    seed: i32,
+}
+
+/// One channel of Eq. 3, with its zenith value and its denominator.
+#[derive(Clone, Copy)]
+struct Perez {
+    terms: [f32; 5],
+    scale: f32,
+}
+
+impl Perez {
+    fn new(slope: [f32; 5], at_zero: [f32; 5], zenith: f32, sun_from_zenith: f32) -> Self {
+        let terms = std::array::from_fn(|i| slope[i] * TURBIDITY + at_zero[i]);
+        let unscaled = Self { terms, scale: 1.0 };
+        Self { terms, scale: zenith / unscaled.at(1.0, sun_from_zenith) }
+    }
+
+    /// Eq. 3 at a direction `cos_zenith` from the zenith and `gamma` from the sun.
+    fn at(&self, cos_zenith: f32, gamma: f32) -> f32 {
+        let [a, b, c, d, e] = self.terms;
+        let cos_gamma = gamma.cos();
+        self.scale * (1.0 + a * (b / cos_zenith).exp()) * (1.0 + c * (d * gamma).exp() + e * cos_gamma * cos_gamma)
+    }
+}
+
+impl Sky {
+    pub(super) fn new(config: &PlazaConfig) -> Self {
+        let (elevation, azimuth) = (config.sun_elevation_deg.to_radians(), config.sun_azimuth_deg.to_radians());
+        let sun = Vec3::new(elevation.cos() * azimuth.sin(), elevation.sin(), -elevation.cos() * azimuth.cos());
+        let seed = (config.seed & 0x00FF_FFFF) as i32;
+        let sun_klx = sun_colour(elevation) * EXTRATERRESTRIAL_KLX;
+        let mut sky = Self {
+            sun,
+            sun_irradiance: sun_klx * (1.0 - AUREOLE_SHARE),
+            aureole_irradiance: sun_klx * AUREOLE_SHARE,
+            up_irradiance: Vec3::ZERO,
+            haze: Vec3::ZERO,
+            exposure: 1.0,
+            perez: perez_of(FRAC_PI_2 - elevation),
+            clouds: config.clouds != Clouds::None,
+            seed,
+        };
+        sky.up_irradiance = sky.integrate_up();
+        let level = (sun_klx * sun.y + sky.up_irradiance).dot(LUMA) / PI * EXPOSURE_ALBEDO;
+        sky.exposure = EXPOSURE_TARGET / level;
+        sky.sun_irradiance *= sky.exposure;
+        sky.aureole_irradiance *= sky.exposure;
+        sky.up_irradiance *= sky.exposure;
+        sky.haze = sky.clear(Vec3::new(sun.z, 0.06, -sun.x).normalize()).lerp(Vec3::splat(0.42), 0.25);
+        sky
+    }
+
+    /// Radiance of sky and clouds, without the sun and its aureole.
+    pub(super) fn radiance(&self, direction: Vec3) -> Vec3 {
+        let clear = self.clear(direction);
+        if !self.clouds || direction.y <= 0.02 {
+            return clear;
+        }
+        let (cover, tone) = self.cloud(direction);
+        let lit = (self.sun_irradiance * 0.20 + self.up_irradiance * 0.10) * tone;
+        clear.lerp(lit.lerp(self.haze, 0.35 * (1.0 - direction.y)), cover)
+    }
+
+    /// Radiance of the aureole.
+    pub(super) fn aureole(&self, direction: Vec3) -> Vec3 {
+        let gamma = direction.dot(self.sun).clamp(-1.0, 1.0).acos();
+        self.aureole_irradiance * ((-gamma / AUREOLE_RAD).exp() / (TAU * AUREOLE_RAD * AUREOLE_RAD))
+    }
+
+    /// Radiance of the uncovered disc.
+    pub(super) fn disc(&self) -> Vec3 {
+        self.sun_irradiance / sun_solid_angle_sr()
+    }
+
+    /// Share of the sun's light that gets through at a time, in (0, 1], in steps of 1/256.
+    pub(super) fn transmission(clouds: Clouds, time_secs: f64) -> f32 {
+        if clouds != Clouds::Passing {
+            return 1.0;
+        }
+        let phase = (time_secs / 60.0).fract() as f32;
+        let veil = smoothstep(0.30, 0.42, phase) * (1.0 - smoothstep(0.62, 0.75, phase));
+        ((1.0 - 0.75 * veil) * 256.0).round() / 256.0
+    }
+
+    fn clear(&self, direction: Vec3) -> Vec3 {
+        let cos_zenith = direction.y.max(0.015);
+        let gamma = direction.dot(self.sun).clamp(-1.0, 1.0).acos();
+        let [luminance, x, y] = self.perez.map(|channel| channel.at(cos_zenith, gamma));
+        let xyz = Vec3::new(x / y, 1.0, (1.0 - x - y) / y) * luminance;
+        (BT709_FROM_XYZ * xyz).max(Vec3::ZERO) * self.exposure
+    }
+
+    /// How much cloud covers a direction, and how bright that is.
+    fn cloud(&self, direction: Vec3) -> (f32, f32) {
+        let plane = Vec2::new(direction.x, direction.z) / (direction.y + 0.12) * 1.15;
+        let towards_sun = Vec2::new(self.sun.x, self.sun.z).normalize_or_zero() * 0.22;
+        let density = |p: Vec2| {
+            let puffs = fbm2(p * 1.7 + Vec2::new(3.1, 8.4), 6, self.seed + 40);
+            let fields = fbm2(p * 0.45 + Vec2::new(7.7, 1.3), 2, self.seed + 60);
+            puffs + 0.55 * (fields - 0.40)
+        };
+        let here = density(plane);
+        let gamma = direction.dot(self.sun).clamp(-1.0, 1.0).acos();
+        let open = smoothstep(0.22, 0.60, gamma) * smoothstep(0.03, 0.16, direction.y);
+        let cover = smoothstep(0.53, 0.78, here) * open;
+        let shade = smoothstep(0.45, 0.95, density(plane + towards_sun));
+        (cover * 0.92, 1.0 - 0.38 * shade * cover)
+    }
+
+    /// Irradiance of [`Sky::radiance`] on level ground, by the midpoint rule in elevation and azimuth.
+    fn integrate_up(&self) -> Vec3 {
+        const ROWS: u32 = 64;
+        const COLUMNS: u32 = 256;
+        let mut sum = Vec3::ZERO;
+        for row in 0..ROWS {
+            // Equal steps of sin² φ carry equal cosine-weighted solid angles.
+            let sin2 = (row as f32 + 0.5) / ROWS as f32;
+            let (up, level) = (sin2.sqrt(), (1.0 - sin2).sqrt());
+            for column in 0..COLUMNS {
+                let (sin, cos) = ((column as f32 + 0.5) / COLUMNS as f32 * TAU).sin_cos();
+                sum += self.radiance(Vec3::new(level * sin, up, -level * cos));
+            }
+        }
+        sum * (PI / (ROWS * COLUMNS) as f32)
+    }
+}
+
+/// Solid angle of the sun's disc.
+pub(super) fn sun_solid_angle_sr() -> f32 {
+    // 2π(1 − cos r) without the cancellation.
+    4.0 * PI * (SUN_RADIUS_RAD * 0.5).sin().powi(2)
+}
+
+pub(super) const LUMA: Vec3 = Vec3::new(0.2126, 0.7152, 0.0722);
+
+/// BT.709 primaries with D65 (ITU-R BT.709), from CIE XYZ; columns.
+const BT709_FROM_XYZ: Mat3 = Mat3::from_cols(
+    Vec3::new(3.240_454_2, -0.969_266, 0.055_643_4),
+    Vec3::new(-1.537_138_5, 1.876_010_8, -0.204_025_9),
+    Vec3::new(-0.498_531_4, 0.041_556, 1.057_225_2),
+);
+
+/// Sunlight after Rayleigh and aerosol extinction at three wavelengths (Preetham et al. 1999, appendix A.1).
+fn sun_colour(elevation: f32) -> Vec3 {
+    let air_mass = 1.0 / (elevation.sin() + 0.15 * (elevation.to_degrees() + 3.885).powf(-1.253));
+    let beta = 0.046_08 * TURBIDITY - 0.045_86;
+    let transmitted = [0.61f32, 0.55, 0.465].map(|micrometres| {
+        let depth = 0.008_735 * micrometres.powf(-4.08) + beta * micrometres.powf(-1.3);
+        (-depth * air_mass).exp()
+    });
+    Vec3::from_array(transmitted)
+}
+
+/// Distributions of luminance (kcd/m²) and chromaticity (Preetham et al. 1999, appendix A.2).
+fn perez_of(sun_from_zenith: f32) -> [Perez; 3] {
+    let t = TURBIDITY;
+    let s = sun_from_zenith;
+    let powers = [s * s * s, s * s, s, 1.0];
+    let zenith_of = |rows: [[f32; 4]; 3]| {
+        let dot = |row: [f32; 4]| row.iter().zip(powers).map(|(a, b)| a * b).sum::<f32>();
+        t * t * dot(rows[0]) + t * dot(rows[1]) + dot(rows[2])
+    };
+    let chi = (4.0 / 9.0 - t / 120.0) * (PI - 2.0 * s);
+    let zenith_luminance = SKY_SHARE * ((4.0453 * t - 4.9710) * chi.tan() - 0.2155 * t + 2.4192);
+    let zenith_x = zenith_of([
+        [0.001_66, -0.003_75, 0.002_09, 0.0],
+        [-0.029_03, 0.063_77, -0.032_02, 0.003_94],
+        [0.116_93, -0.211_96, 0.060_52, 0.258_86],
+    ]);
+    let zenith_y = zenith_of([
+        [0.002_75, -0.006_10, 0.003_17, 0.0],
+        [-0.042_14, 0.089_70, -0.041_53, 0.005_16],
+        [0.153_46, -0.267_56, 0.066_70, 0.266_88],
+    ]);
+    [
+        Perez::new([0.1787, -0.3554, -0.0227, 0.1206, -0.0670], [-1.4630, 0.4275, 5.3251, -2.5771, 0.3703], zenith_luminance, s),
+        Perez::new([-0.0193, -0.0665, -0.0004, -0.0641, -0.0033], [-0.2592, 0.0008, 0.2125, -0.8989, 0.0452], zenith_x, s),
+        Perez::new([-0.0167, -0.0950, -0.0079, -0.0441, -0.0109], [-0.2608, 0.0092, 0.2102, -1.6537, 0.0529], zenith_y, s),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sunlit_pavement_lands_on_its_value_at_every_elevation() {
+        for sun_elevation_deg in [10.0, 35.0, 70.0] {
+            let sky = Sky::new(&PlazaConfig { sun_elevation_deg, ..PlazaConfig::default() });
+            let level = ((sky.sun_irradiance + sky.aureole_irradiance) * sky.sun.y + sky.up_irradiance).dot(LUMA) * EXPOSURE_ALBEDO / PI;
+            assert!((level - EXPOSURE_TARGET).abs() < 1e-3, "{sun_elevation_deg}: {level}");
+        }
+    }
+
+    #[test]
+    fn disc_times_its_solid_angle_is_the_suns_irradiance() {
+        let sky = Sky::new(&PlazaConfig::default());
+        assert!(((sky.disc() * sun_solid_angle_sr() - sky.sun_irradiance) / sky.sun_irradiance).abs().max_element() < 1e-5);
+        // 0.533° across is 6.8e-5 sr.
+        assert!((sun_solid_angle_sr() - 6.796e-5).abs() < 1e-8, "{}", sun_solid_angle_sr());
+        assert!(sky.disc().min_element() > 10_000.0, "a clear day's sun is tens of thousands of times display white");
+    }
+
+    #[test]
+    fn the_sky_is_blue_and_the_sun_warm() {
+        let sky = Sky::new(&PlazaConfig { clouds: Clouds::None, ..PlazaConfig::default() });
+        let zenith = sky.radiance(Vec3::Y);
+        assert!(zenith.z > 1.5 * zenith.x && zenith.min_element() > 0.0, "{zenith}");
+        assert!(sky.sun_irradiance.x > 1.2 * sky.sun_irradiance.z);
+    }
+}
