@@ -5,6 +5,7 @@
 pub mod analyze;
 pub mod broadcast;
 pub mod frame;
+pub mod image_file;
 pub mod ingest;
 pub mod lighting;
 pub mod plaza;

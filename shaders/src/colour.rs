@@ -101,15 +101,25 @@ fn pq_decode(v: f32) -> f32 {
 
 /// ITU-R BT.2100 HLG: inverse OETF, then the OOTF of a 1000 cd/m² display, over the reference white.
 fn hlg_decode(code: Vec3) -> Vec3 {
+    let scene = Vec3::from_array(code.to_array().map(hlg_scene_light));
+    scene * hlg_display_factor(scene)
+}
+
+/// Scene light in [0, 1] of an HLG code value (ITU-R BT.2100, inverse OETF).
+#[must_use]
+pub fn hlg_scene_light(code: f32) -> f32 {
     const A: f32 = 0.178_832_77;
     const B: f32 = 1.0 - 4.0 * A;
     const C: f32 = 0.559_910_7;
-    let scene = Vec3::from_array(code.to_array().map(|v| {
-        let v = v.clamp(0.0, 1.0);
-        if v <= 0.5 { v * v / 3.0 } else { (((v - C) / A).exp() + B) / 12.0 }
-    }));
+    let v = code.clamp(0.0, 1.0);
+    if v <= 0.5 { v * v / 3.0 } else { (((v - C) / A).exp() + B) / 12.0 }
+}
+
+/// Factor from HLG scene light to light over the reference white (ITU-R BT.2100, OOTF at 1000 cd/m²).
+#[must_use]
+pub fn hlg_display_factor(scene: Vec3) -> f32 {
     let luminance = scene.dot(Vec3::new(0.2627, 0.6780, 0.0593));
-    scene * luminance.powf(HLG_GAMMA - 1.0) * (HLG_PEAK / HDR_REFERENCE_WHITE)
+    luminance.powf(HLG_GAMMA - 1.0) * (HLG_PEAK / HDR_REFERENCE_WHITE)
 }
 
 /// Luma weights of Iorns & Rhee 2015, Eq. 1.

@@ -1,0 +1,103 @@
+//! Regions brighter than a threshold as candidates for lights, and what is left once the chosen ones are out.
+
+use glam::{DVec3, Vec3};
+
+use super::panorama::Panorama;
+use super::regions::Regions;
+
+/// A region's light before it is decided whether it becomes one.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Candidate {
+    region: usize,
+    /// Irradiance, the sum of Eq. 4 over the region.
+    pub(super) irradiance: DVec3,
+    /// Luminance of that irradiance.
+    pub(super) strength: f64,
+    /// Strength-weighted sum of the texels' directions.
+    pub(super) direction: DVec3,
+    /// Strength-weighted sums of the texels' longitudes and latitudes.
+    pub(super) angles: (f64, f64),
+    /// Solid angle of the texels that are above the threshold themselves.
+    pub(super) solid_angle_sr: f64,
+    /// Sum of strength² over solid angle.
+    concentration: f64,
+}
+
+impl Candidate {
+    /// Solid angle of an even disc that spreads the light as widely: (Σ E)² / Σ E²/Ω.
+    pub(super) fn effective_solid_angle_sr(&self) -> f64 {
+        self.strength * self.strength / self.concentration
+    }
+}
+
+/// The share of a pixel's radiance that stays in the panorama when its light is taken out: the minimum in
+/// Rhee et al. 2017, Eq. 4.
+fn kept_share(luminance: f32, threshold: f32) -> f32 {
+    if luminance > threshold { threshold / luminance } else { 1.0 }
+}
+
+/// Candidates of one frame, strongest first after [`Candidates::collect`]; the buffer is reused.
+#[derive(Default)]
+pub(super) struct Candidates {
+    list: Vec<Candidate>,
+}
+
+impl Candidates {
+    /// Measures every region: Eq. 4 of Rhee et al. 2017 for each of its texels, with `luma` as luminance.
+    /// Regions without any excess over the threshold are left out.
+    pub(super) fn collect(&mut self, panorama: &Panorama, regions: &Regions, luma: Vec3, threshold: f32) {
+        self.list.clear();
+        self.list.extend(regions.iter().enumerate().map(|(region, members)| measure(panorama, region, members, luma, threshold)));
+        self.list.retain(|candidate| candidate.strength > 0.0);
+        self.list.sort_unstable_by(|a, b| b.strength.total_cmp(&a.strength));
+    }
+
+    /// Candidates, strongest first.
+    pub(super) fn list(&self) -> &[Candidate] {
+        &self.list
+    }
+
+    /// Takes the light of the first `chosen` candidates out of the panorama; all others stay in it.
+    pub(super) fn take_out(&self, chosen: usize, panorama: &mut Panorama, regions: &Regions, luma: Vec3, threshold: f32) {
+        for candidate in self.list.iter().take(chosen) {
+            for texel in regions.members(candidate.region) {
+                let texel = *texel as usize;
+                let radiance = panorama.radiance(texel);
+                panorama.set_radiance(texel, radiance * kept_share(radiance.dot(luma), threshold));
+            }
+        }
+    }
+}
+
+fn measure(panorama: &Panorama, region: usize, members: &[u32], luma: Vec3, threshold: f32) -> Candidate {
+    let mut sum = Candidate {
+        region,
+        irradiance: DVec3::ZERO,
+        strength: 0.0,
+        direction: DVec3::ZERO,
+        angles: (0.0, 0.0),
+        solid_angle_sr: 0.0,
+        concentration: 0.0,
+    };
+    let width = panorama.size.width as usize;
+    for texel in members {
+        let texel = *texel as usize;
+        let (row, column) = (texel / width, texel % width);
+        let radiance = panorama.radiance(texel);
+        let share = kept_share(radiance.dot(luma), threshold);
+        if share >= 1.0 {
+            continue;
+        }
+        let solid_angle_sr = f64::from(panorama.geometry.solid_angle_sr[row]);
+        let irradiance = (radiance - radiance * share).as_dvec3() * solid_angle_sr;
+        let strength = irradiance.dot(luma.as_dvec3());
+        sum.irradiance += irradiance;
+        sum.strength += strength;
+        sum.direction += strength * panorama.geometry.direction(row, column).as_dvec3();
+        sum.angles.0 += strength * f64::from(panorama.geometry.longitude[column]);
+        sum.angles.1 += strength * f64::from(panorama.geometry.latitude[row]);
+        sum.solid_angle_sr += solid_angle_sr;
+        sum.concentration += strength * strength / solid_angle_sr;
+    }
+    sum
+}

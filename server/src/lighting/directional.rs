@@ -1,0 +1,147 @@
+//! The product's own method: what stands out of the upper hemisphere becomes at most [`MOST_LIGHTS`] lights, all
+//! else SH.
+//!
+//! Differences from the paper's method: display-linear radiance instead of the inverse tone map's, statistics
+//! weighted by solid angle, a threshold that cannot pass the brightest texel, regions that are whole across the
+//! seam and the zenith, directions averaged as vectors, and lights only where they matter to the frame.
+
+use glam::Vec3;
+use mr360_protocol::light::{DirectionalLight, Lift};
+
+use super::candidates::{Candidate, Candidates};
+use super::harmonics::project9;
+use super::panorama::{Panorama, WorkingSize};
+use super::regions::{Regions, Topology};
+use super::{Estimate, LightError, LightMethod, StepTimes};
+use crate::frame::Frame;
+
+/// Working panorama.
+const SIZE: WorkingSize = WorkingSize { width: 512, height: 256, supersample: 2 };
+/// Rows of the upper hemisphere.
+const UPPER_ROWS: usize = 128;
+/// BT.709 luminance of linear radiance.
+const LUMA: Vec3 = Vec3::new(0.2126, 0.7152, 0.0722);
+/// Most lights of a frame.
+pub const MOST_LIGHTS: usize = 8;
+/// A region is a light from this share of the upper hemisphere's energy on. Below, SH carries it without a visible
+/// difference, and the specks that any threshold finds in an even noisy sky lie far below.
+const LEAST_SHARE: f64 = 0.02;
+
+/// The default method; see the module.
+pub struct Directional {
+    panorama: Panorama,
+    luminance: Vec<f32>,
+    regions: Regions,
+    candidates: Candidates,
+    estimate: Estimate,
+}
+
+impl Default for Directional {
+    fn default() -> Self {
+        Self {
+            panorama: Panorama::new(SIZE, Lift::Highlights),
+            luminance: vec![0.0; SIZE.width as usize * UPPER_ROWS],
+            regions: Regions::default(),
+            candidates: Candidates::default(),
+            estimate: Estimate::default(),
+        }
+    }
+}
+
+/// Luminance of the upper hemisphere, weighted by solid angle.
+struct Statistics {
+    mean: f64,
+    deviation: f64,
+    peak: f64,
+    /// Luminance times solid angle, summed.
+    energy: f64,
+}
+
+impl Statistics {
+    /// μ + 2σ, but never more than half way from the mean to the peak. The first rises past white when a fifth of
+    /// the sky is clipped and no light would be left; the second keeps the clipped part above the threshold
+    /// whatever its share. With a sun in the frame the first is the lower by far.
+    fn threshold(&self) -> f32 {
+        (self.mean + 2.0 * self.deviation).min(0.5 * (self.mean + self.peak)) as f32
+    }
+}
+
+impl Directional {
+    fn statistics(&mut self) -> Statistics {
+        let width = SIZE.width as usize;
+        let (mut first, mut second, mut solid_angle, mut peak) = (0.0, 0.0, 0.0, 0.0f32);
+        for (row, luminance) in self.luminance.chunks_exact_mut(width).enumerate() {
+            let [red, green, blue] = [0, 1, 2].map(|channel| self.panorama.row(channel, row));
+            for (((y, r), g), b) in luminance.iter_mut().zip(red).zip(green).zip(blue) {
+                *y = LUMA.x * r + LUMA.y * g + LUMA.z * b;
+            }
+            let texel_sr = f64::from(self.panorama.geometry.solid_angle_sr[row]);
+            let (sum, squares, largest) = row_sums(luminance);
+            first += sum * texel_sr;
+            second += squares * texel_sr;
+            solid_angle += texel_sr * width as f64;
+            peak = peak.max(largest);
+        }
+        let mean = first / solid_angle;
+        let deviation = (second / solid_angle - mean * mean).max(0.0).sqrt();
+        Statistics { mean, deviation, peak: f64::from(peak), energy: first }
+    }
+
+    fn find_lights(&mut self, statistics: &Statistics, steps: &mut StepTimes) {
+        let threshold = statistics.threshold();
+        steps.time("regions", || {
+            self.regions.find(SIZE.width as usize, &self.luminance, Topology::Panorama, |luminance| luminance > threshold);
+        });
+        steps.time("lights", || {
+            self.candidates.collect(&self.panorama, &self.regions, LUMA, threshold);
+            let list = self.candidates.list();
+            let least = LEAST_SHARE * statistics.energy;
+            let chosen = list.iter().take(MOST_LIGHTS).take_while(|candidate| candidate.strength >= least).count();
+            self.estimate.lights.clear();
+            self.estimate.lights.extend(list[..chosen].iter().zip(0..).map(|(candidate, id)| light(candidate, id)));
+            self.candidates.take_out(chosen, &mut self.panorama, &self.regions, LUMA, threshold);
+        });
+    }
+}
+
+/// Sum, sum of squares and largest value of a row. Side-by-side sums let the compiler add several at a time.
+fn row_sums(row: &[f32]) -> (f64, f64, f32) {
+    let (mut sums, mut squares, mut largest) = ([0.0f32; 8], [0.0f32; 8], [0.0f32; 8]);
+    for values in row.chunks_exact(8) {
+        for i in 0..8 {
+            sums[i] += values[i];
+            squares[i] += values[i] * values[i];
+            largest[i] = if values[i] > largest[i] { values[i] } else { largest[i] };
+        }
+    }
+    let total = |lanes: [f32; 8]| lanes.iter().map(|v| f64::from(*v)).sum();
+    (total(sums), total(squares), largest.into_iter().fold(0.0, f32::max))
+}
+
+fn light(candidate: &Candidate, id: u32) -> DirectionalLight {
+    DirectionalLight {
+        id,
+        // Texels of one hemisphere cannot cancel out, except on its rim; straight up is as good as any then.
+        direction: candidate.direction.as_vec3().try_normalize().unwrap_or(Vec3::Y),
+        irradiance: candidate.irradiance.as_vec3(),
+        solid_angle_sr: candidate.effective_solid_angle_sr() as f32,
+    }
+}
+
+impl LightMethod for Directional {
+    fn name(&self) -> &'static str {
+        "directional"
+    }
+
+    fn lift(&self) -> Lift {
+        Lift::Highlights
+    }
+
+    fn estimate(&mut self, frame: &Frame, steps: &mut StepTimes) -> Result<&Estimate, LightError> {
+        steps.time("sample", || self.panorama.take(frame))?;
+        let statistics = steps.time("threshold", || self.statistics());
+        self.find_lights(&statistics, steps);
+        steps.time("sh", || self.estimate.project(&self.panorama, project9));
+        Ok(&self.estimate)
+    }
+}

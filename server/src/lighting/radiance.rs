@@ -1,0 +1,159 @@
+//! From code values to radiance by table: the same curves as `shaders::colour`, at a price per texel that
+//! allows video rate.
+
+use glam::{Mat3, Vec3};
+use mr360_protocol::light::Lift;
+use mr360_protocol::video::{Colour, Primaries, Transfer};
+use mr360_shaders::colour::{
+    IORNS_BASE, IORNS_LUMA, bt709_from_primaries, decode_transfer, hlg_display_factor, hlg_scene_light, iorns_factor,
+};
+
+/// Entries of a table over code values in [0, 1]. Rounding to the nearest entry moves a code by at most
+/// 1/8190, an eighth of an 8-bit step, and averages out over the texels.
+const ENTRIES: usize = 4096;
+
+/// Planar R, G and B, one value a texel.
+pub(super) type Planes = [Vec<f32>; 3];
+
+/// Whether the transfer carries true HDR, so that nothing needs to be recovered.
+#[must_use]
+pub(super) fn is_hdr(transfer: Transfer) -> bool {
+    matches!(transfer, Transfer::Linear | Transfer::Pq | Transfer::Hlg)
+}
+
+/// The lift that applies to video of this transfer: the papers' operator undoes the clipping of LDR video, so
+/// HDR input is used as it is.
+#[must_use]
+pub(super) fn effective_lift(lift: Lift, transfer: Transfer) -> Lift {
+    if is_hdr(transfer) { Lift::Linear } else { lift }
+}
+
+/// Tables for one lift of one colour.
+pub(super) struct RadianceTable {
+    key: (Lift, Colour),
+    /// Linear light of a code, one channel.
+    transfer: Box<[f32; ENTRIES]>,
+    /// Factor of a code's luma (Iorns & Rhee 2015, Eq. 2, or its scaled form).
+    factor: Box<[f32; ENTRIES]>,
+    primaries: Mat3,
+}
+
+impl RadianceTable {
+    pub(super) fn new(lift: Lift, colour: Colour) -> Self {
+        let lift = effective_lift(lift, colour.transfer);
+        let table = |f: &dyn Fn(f32) -> f32| {
+            let mut entries = Box::new([0.0; ENTRIES]);
+            for (i, entry) in entries.iter_mut().enumerate() {
+                *entry = f(i as f32 / (ENTRIES - 1) as f32);
+            }
+            entries
+        };
+        Self {
+            key: (lift, colour),
+            transfer: table(&|v| match (lift, colour.transfer) {
+                (Lift::InverseToneMap, _) => v,
+                (_, Transfer::Hlg) => hlg_scene_light(v),
+                _ => decode_transfer(colour.transfer, Vec3::splat(v)).x,
+            }),
+            factor: table(&|luma| match lift {
+                Lift::Linear => 1.0,
+                Lift::InverseToneMap => iorns_factor(Vec3::splat(luma)),
+                Lift::Highlights => iorns_factor(Vec3::splat(luma)) / IORNS_BASE,
+            }),
+            primaries: bt709_from_primaries(colour.primaries),
+        }
+    }
+
+    /// Whether this is the table that `new` would make.
+    pub(super) fn is_for(&self, lift: Lift, colour: Colour) -> bool {
+        self.key == (effective_lift(lift, colour.transfer), colour)
+    }
+
+    /// The lift that is applied.
+    pub(super) fn lift(&self) -> Lift {
+        self.key.0
+    }
+
+    /// Turns codes into linear BT.709 radiance in place. Codes of a transfer other than linear are clamped to
+    /// [0, 1], linear ones to 0 and above.
+    pub(super) fn decode(&self, planes: &mut Planes) {
+        let (lift, colour) = self.key;
+        if colour.transfer != Transfer::Linear {
+            if lift == Lift::Linear { self.decode_plain(planes) } else { self.decode_lifted(planes) }
+        }
+        if colour.transfer == Transfer::Hlg {
+            for_each_texel(planes, |scene| if scene == Vec3::ZERO { scene } else { scene * hlg_display_factor(scene) });
+        }
+        // The papers' operator works on the codes, whatever their primaries.
+        if colour.primaries != Primaries::Bt709 && lift != Lift::InverseToneMap {
+            for_each_texel(planes, |radiance| self.primaries * radiance);
+        }
+        for plane in planes {
+            plane.iter_mut().for_each(|v| *v = v.max(0.0));
+        }
+    }
+
+    fn decode_plain(&self, planes: &mut Planes) {
+        for plane in planes {
+            plane.iter_mut().for_each(|v| *v = self.transfer[entry(*v)]);
+        }
+    }
+
+    fn decode_lifted(&self, [red, green, blue]: &mut Planes) {
+        for ((r, g), b) in red.iter_mut().zip(green.iter_mut()).zip(blue.iter_mut()) {
+            let code = [*r, *g, *b].map(|v| v.clamp(0.0, 1.0));
+            let luma = code[0] * IORNS_LUMA.x + code[1] * IORNS_LUMA.y + code[2] * IORNS_LUMA.z;
+            let factor = self.factor[entry(luma)];
+            *r = self.transfer[entry(code[0])] * factor;
+            *g = self.transfer[entry(code[1])] * factor;
+            *b = self.transfer[entry(code[2])] * factor;
+        }
+    }
+}
+
+fn entry(code: f32) -> usize {
+    ((code * (ENTRIES - 1) as f32 + 0.5) as usize).min(ENTRIES - 1)
+}
+
+fn for_each_texel([red, green, blue]: &mut Planes, f: impl Fn(Vec3) -> Vec3) {
+    for ((r, g), b) in red.iter_mut().zip(green.iter_mut()).zip(blue.iter_mut()) {
+        [*r, *g, *b] = f(Vec3::new(*r, *g, *b)).to_array();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use mr360_shaders::colour::radiance_from_code;
+
+    #[test]
+    fn tables_agree_with_the_curves() {
+        for transfer in [Transfer::Bt709, Transfer::Srgb, Transfer::Linear, Transfer::Pq, Transfer::Hlg] {
+            for primaries in [Primaries::Bt709, Primaries::Bt2020, Primaries::Bt601Ntsc] {
+                for lift in [Lift::Linear, Lift::InverseToneMap, Lift::Highlights] {
+                    let colour = Colour { transfer, primaries, ..Colour::default() };
+                    let table = RadianceTable::new(lift, colour);
+                    for code in [Vec3::ZERO, Vec3::new(0.9, 0.5, 0.2), Vec3::splat(0.73), Vec3::new(0.3, 0.8, 0.31), Vec3::ONE] {
+                        let mut planes = code.to_array().map(|v| vec![v]);
+                        table.decode(&mut planes);
+                        let got = Vec3::new(planes[0][0], planes[1][0], planes[2][0]);
+                        let expected = radiance_from_code(table.lift(), colour, code);
+                        // Half a table step of the steepest curve, PQ or the tenth power near white, is 0.25 %.
+                        assert!(
+                            (got - expected).abs().max_element() <= 3e-3 * expected.max_element() + 1e-5,
+                            "{colour:?} {lift:?} {code}: {got} against {expected}"
+                        );
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn hdr_is_never_lifted() {
+        for transfer in [Transfer::Linear, Transfer::Pq, Transfer::Hlg] {
+            assert_eq!(effective_lift(Lift::InverseToneMap, transfer), Lift::Linear);
+        }
+        assert_eq!(effective_lift(Lift::InverseToneMap, Transfer::Srgb), Lift::InverseToneMap);
+    }
+}
