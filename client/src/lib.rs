@@ -6,6 +6,7 @@ pub mod audio;
 pub mod camera;
 pub mod decode;
 pub mod environment;
+pub mod frame_loop;
 pub mod gpu;
 pub mod headless;
 pub mod join;

@@ -1,0 +1,341 @@
+//! The frame loop that every mode runs: take in what arrived, hand the newest due pair to the stage, draw, present.
+//!
+//! Nothing in here waits for network, decoder or GPU; a [`Presenter`] decides what presenting means.
+
+use std::sync::mpsc::{Receiver, RecvTimeoutError, TryRecvError};
+use std::sync::Arc;
+use std::time::Duration;
+
+use glam::{Vec2, Vec3};
+use mr360_protocol::clock::ClientTime;
+use mr360_protocol::scene::ObjectId;
+
+use crate::audio::AudioTimeline;
+use crate::camera::Camera;
+use crate::decode::{DecodeCounters, Decoded};
+use crate::stats::{FrameTimes, PassTime, Stats};
+use crate::sync::{ClientClock, Paired, Playout, ReceivedLight};
+
+/// Longest rest between two looks at what arrived: well within the least playout delay of 20 ms.
+const IDLE: Duration = Duration::from_millis(4);
+/// Messages of the network taken in one turn, so that a flood cannot hold up the display.
+const MESSAGES_A_TURN: usize = 512;
+
+/// An error of a stage or a presenter, whatever its type.
+pub type BoxError = Box<dyn std::error::Error + Send + Sync>;
+
+/// Why a frame could not be drawn or presented.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum FrameError {
+    /// Everything on the GPU is gone; it has to be opened anew.
+    #[error("the GPU device was lost ({detail})")]
+    DeviceLost {
+        /// What the driver said.
+        detail: String,
+    },
+    /// Anything else.
+    #[error("{action} failed ({source})")]
+    Failed {
+        /// What was tried.
+        action: &'static str,
+        /// The reason.
+        source: BoxError,
+    },
+}
+
+/// Where a view is drawn to.
+pub struct Target {
+    /// A colour attachment.
+    pub view: wgpu::TextureView,
+    /// Its format.
+    pub format: wgpu::TextureFormat,
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+}
+
+/// The renderer, as the frame loop sees it.
+pub trait Stage {
+    /// Takes in what came for the scene since the last turn; true when the view looks different for it.
+    ///
+    /// # Errors
+    /// [`FrameError::DeviceLost`], or whatever keeps it from drawing on.
+    fn prepare(&mut self) -> Result<bool, FrameError>;
+
+    /// Uploads a picture and submits what depends on the video alone. Without a light, objects are to be hidden.
+    ///
+    /// # Errors
+    /// As [`Stage::prepare`].
+    fn update(&mut self, paired: &Paired) -> Result<(), FrameError>;
+
+    /// Draws the view and submits it. Returns the GPU times known by now, those of an earlier frame included.
+    ///
+    /// # Errors
+    /// As [`Stage::prepare`].
+    fn draw(&mut self, camera: &Camera, target: &Target) -> Result<Vec<PassTime>, FrameError>;
+
+    /// Why the device was lost, once it is.
+    fn device_lost(&self) -> Option<String>;
+
+    /// The nearest object under a point of the image, x and y in [−1, 1], y up.
+    fn pick(&self, camera: &Camera, ndc: Vec2, aspect: f32) -> Option<ObjectId>;
+
+    /// The point of the ground there.
+    fn ground_point(&self, camera: &Camera, ndc: Vec2, aspect: f32) -> Option<Vec3>;
+
+    /// Where an object stands.
+    fn position(&self, object: ObjectId) -> Option<Vec3>;
+}
+
+/// Shows frames: in a window, or to nobody.
+pub trait Presenter {
+    /// The next target, or `None` when there is none just now (hidden window, resize under way): the frame is skipped.
+    ///
+    /// # Errors
+    /// [`FrameError::DeviceLost`] when everything has to be opened anew.
+    fn acquire(&mut self) -> Result<Option<Target>, FrameError>;
+
+    /// Presents what was drawn to the target acquired last. `now` is when the drawing was submitted.
+    ///
+    /// # Errors
+    /// As [`Presenter::acquire`].
+    fn present(&mut self, pts_us: u64, now: ClientTime) -> Result<(), FrameError>;
+}
+
+/// From the network, apart from pictures.
+#[derive(Debug)]
+pub enum Arrival {
+    /// Light of a frame.
+    Light(ReceivedLight),
+    /// Bytes of a frame of a track, for the statistics.
+    Bytes(Arc<str>, usize),
+    /// A new broadcast begins: what waits belongs to the old one.
+    NewBroadcast,
+}
+
+/// Where pictures and lights come from.
+pub struct Inputs {
+    /// From the decoder.
+    pub pictures: Receiver<Decoded>,
+    /// From the network.
+    pub arrivals: Receiver<Arrival>,
+    /// The decoder's counts.
+    pub decoder: Arc<DecodeCounters>,
+    /// The sound that follows the pictures.
+    pub audio: Option<AudioTimeline>,
+}
+
+/// When to draw.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Redraw {
+    /// For every new picture.
+    OnPicture,
+    /// When the picture, the scene or the camera changed: a frame that would look the same is not drawn again.
+    OnChange,
+    /// Every time.
+    Always,
+}
+
+/// What a turn did.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Turn {
+    /// A frame was presented.
+    pub presented: bool,
+    /// Nothing more will come: the decoder is gone and the playout is empty.
+    pub ended: bool,
+}
+
+/// Times of the picture on the GPU.
+struct OnStage {
+    pts_us: u64,
+    arrived: ClientTime,
+    decoded: ClientTime,
+    light_arrived: Option<ClientTime>,
+    paired: ClientTime,
+    uploaded: ClientTime,
+    presented_once: bool,
+}
+
+/// The loop's state between turns; outlives a lost GPU device.
+pub struct FrameLoop {
+    inputs: Inputs,
+    clock: ClientClock,
+    playout: Playout,
+    stats: Stats,
+    on_stage: Option<OnStage>,
+    /// What is on stage has changed since it was drawn.
+    stale: bool,
+    last_camera: Option<Camera>,
+    frames: u64,
+    ended: bool,
+}
+
+impl FrameLoop {
+    /// A loop that has shown nothing.
+    #[must_use]
+    pub fn new(inputs: Inputs, clock: ClientClock, stats: Stats) -> Self {
+        let playout = Playout::new();
+        Self { inputs, clock, playout, stats, on_stage: None, stale: false, last_camera: None, frames: 0, ended: false }
+    }
+
+    /// One turn of the loop.
+    ///
+    /// # Errors
+    /// Those of the stage and of the presenter. After [`FrameError::DeviceLost`] call [`FrameLoop::device_lost`], open both anew and
+    /// go on.
+    pub fn turn<S: Stage>(
+        &mut self,
+        stage: &mut S,
+        presenter: &mut impl Presenter,
+        camera: &Camera,
+        redraw: Redraw,
+    ) -> Result<Turn, FrameError> {
+        if let Some(detail) = stage.device_lost() {
+            return Err(FrameError::DeviceLost { detail });
+        }
+        self.take_in();
+        self.stale |= stage.prepare()?;
+        let new_picture = self.update(stage)?;
+        let wanted = match redraw {
+            Redraw::OnPicture => new_picture || self.on_stage.as_ref().is_some_and(|on_stage| !on_stage.presented_once),
+            Redraw::OnChange => self.stale || self.last_camera != Some(*camera),
+            Redraw::Always => true,
+        };
+        let presented = wanted && self.on_stage.is_some() && self.show(stage, presenter, camera)?;
+        Ok(Turn { presented, ended: self.ended && self.playout.next_deadline(self.clock.now()).is_none() })
+    }
+
+    /// Forgets what was on the GPU; the playout goes on.
+    pub fn device_lost(&mut self) {
+        self.on_stage = None;
+        self.last_camera = None;
+    }
+
+    /// Asks for a frame even when nothing has changed, as after a resize.
+    pub fn redraw(&mut self) {
+        self.stale = true;
+    }
+
+    /// When the next turn has something to do, at the latest.
+    #[must_use]
+    pub fn next_turn(&self) -> ClientTime {
+        let now = self.clock.now();
+        let idle = ClientTime(now.0 + IDLE.as_micros() as u64);
+        self.playout.next_deadline(now).map_or(idle, |deadline| deadline.clamp(now, idle))
+    }
+
+    /// Rests until the next turn has something to do, at most until `until`.
+    pub fn rest(&mut self, until: Option<ClientTime>) {
+        let next = self.next_turn();
+        let next = until.map_or(next, |until| next.min(until));
+        let rest = Duration::from_micros(next.0.saturating_sub(self.clock.now().0));
+        if rest.is_zero() {
+            return;
+        }
+        if !self.playout.has_room() || self.ended {
+            std::thread::sleep(rest);
+            return;
+        }
+        match self.inputs.pictures.recv_timeout(rest) {
+            Ok(decoded) => self.playout.push_picture(decoded, self.clock.now()),
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => self.ended = true,
+        }
+    }
+
+    /// The clock of all times in here.
+    #[must_use]
+    pub fn clock(&self) -> ClientClock {
+        self.clock
+    }
+
+    /// Presented frames so far.
+    #[must_use]
+    pub fn frames(&self) -> u64 {
+        self.frames
+    }
+
+    /// The statistics, for the summary at the end.
+    #[must_use]
+    pub fn into_stats(mut self) -> Stats {
+        self.stats.counted(self.playout.drops(), Some(&self.inputs.decoder));
+        self.stats
+    }
+
+    fn take_in(&mut self) {
+        for _ in 0..MESSAGES_A_TURN {
+            match self.inputs.arrivals.try_recv() {
+                Ok(Arrival::Light(light)) => self.playout.push_light(light),
+                Ok(Arrival::Bytes(track, bytes)) => self.stats.received(&track, bytes),
+                Ok(Arrival::NewBroadcast) => self.playout.reset(),
+                Err(_) => break,
+            }
+        }
+        while self.playout.has_room() {
+            match self.inputs.pictures.try_recv() {
+                Ok(decoded) => self.playout.push_picture(decoded, self.clock.now()),
+                Err(TryRecvError::Empty) => return,
+                Err(TryRecvError::Disconnected) => {
+                    self.ended = true;
+                    return;
+                }
+            }
+        }
+    }
+
+    fn update(&mut self, stage: &mut impl Stage) -> Result<bool, FrameError> {
+        let now = self.clock.now();
+        let paired = self.playout.poll(now);
+        if let Some(audio) = &self.inputs.audio {
+            audio.set(self.playout.presentation_offset_us(now));
+        }
+        let Some(paired) = paired else { return Ok(false) };
+        stage.update(&paired)?;
+        self.on_stage = Some(OnStage {
+            pts_us: paired.picture.pts_us,
+            arrived: paired.arrived,
+            decoded: paired.decoded,
+            light_arrived: paired.light.as_ref().map(|light| light.arrived),
+            paired: paired.paired,
+            uploaded: self.clock.now(),
+            presented_once: false,
+        });
+        self.stale = true;
+        Ok(true)
+    }
+
+    fn show(&mut self, stage: &mut impl Stage, presenter: &mut impl Presenter, camera: &Camera) -> Result<bool, FrameError> {
+        let Some(target) = presenter.acquire()? else {
+            self.stats.skipped();
+            return Ok(false);
+        };
+        let Some(on_stage) = self.on_stage.as_mut() else { return Ok(false) };
+        let begun = self.clock.now();
+        let passes = stage.draw(camera, &target)?;
+        let rendered = self.clock.now();
+        presenter.present(on_stage.pts_us, rendered)?;
+        let times = FrameTimes {
+            frame: self.frames,
+            pts_us: on_stage.pts_us,
+            new_picture: !on_stage.presented_once,
+            arrived: on_stage.arrived,
+            decoded: on_stage.decoded,
+            light_arrived: on_stage.light_arrived,
+            paired: on_stage.paired,
+            uploaded: on_stage.uploaded,
+            begun,
+            rendered,
+            presented: self.clock.now(),
+            playout_delay_us: self.playout.delay_us(),
+        };
+        on_stage.presented_once = true;
+        self.stale = false;
+        self.last_camera = Some(*camera);
+        self.frames += 1;
+        self.stats.counted(self.playout.drops(), Some(&self.inputs.decoder));
+        self.stats.presented(&times, &passes);
+        Ok(true)
+    }
+}

@@ -1,0 +1,219 @@
+use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
+
+use bytes::Bytes;
+use glam::{Vec2, Vec3};
+use mr360_protocol::light::{LightFrame, SH9};
+use mr360_protocol::scene::ObjectId;
+use mr360_protocol::video::{Colour, StereoLayout};
+
+use super::*;
+use crate::decode::{DecodeCounters, Decoded};
+use crate::frame_loop::{Arrival, Inputs};
+use crate::picture::{Picture, Plane, Samples};
+use crate::stats::{PassTime, Stats};
+use crate::sync::{ClientClock, Paired, ReceivedLight};
+
+/// Clears the target to the luma of the picture's first sample.
+struct Clear {
+    device: wgpu::Device,
+    queue: wgpu::Queue,
+    luma: u8,
+    /// Counts down to a pretended loss of the device.
+    lost_in: Option<u32>,
+}
+
+impl Stage for Clear {
+    fn prepare(&mut self) -> Result<bool, FrameError> {
+        Ok(false)
+    }
+
+    fn update(&mut self, paired: &Paired) -> Result<(), FrameError> {
+        assert_eq!(paired.light.as_ref().map(|light| light.light.pts_us), Some(paired.picture.pts_us));
+        let Samples::Yuv { planes, .. } = &paired.picture.samples else { panic!("not YUV") };
+        self.luma = planes[0].data[0];
+        Ok(())
+    }
+
+    fn draw(&mut self, _camera: &Camera, target: &Target) -> Result<Vec<PassTime>, FrameError> {
+        let value = f64::from(self.luma) / 255.0;
+        let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        drop(encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                view: &target.view,
+                depth_slice: None,
+                resolve_target: None,
+                ops: wgpu::Operations {
+                    load: wgpu::LoadOp::Clear(wgpu::Color { r: value, g: 0.0, b: 1.0, a: 1.0 }),
+                    store: wgpu::StoreOp::Store,
+                },
+            })],
+            ..Default::default()
+        }));
+        self.queue.submit([encoder.finish()]);
+        if let Some(left) = self.lost_in.as_mut() {
+            *left = left.saturating_sub(1);
+        }
+        Ok(vec![PassTime { name: "clear", gpu_ms: 0.5 }])
+    }
+
+    fn device_lost(&self) -> Option<String> {
+        (self.lost_in == Some(0)).then(|| "pretended".to_owned())
+    }
+
+    fn pick(&self, _camera: &Camera, _ndc: Vec2, _aspect: f32) -> Option<ObjectId> {
+        None
+    }
+
+    fn ground_point(&self, _camera: &Camera, _ndc: Vec2, _aspect: f32) -> Option<Vec3> {
+        None
+    }
+
+    fn position(&self, _object: ObjectId) -> Option<Vec3> {
+        None
+    }
+}
+
+fn graphics(lost_in: Option<u32>) -> Graphics<Clear> {
+    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
+    let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+    let adapter = runtime.block_on(instance.request_adapter(&wgpu::RequestAdapterOptions::default())).unwrap();
+    let (device, queue) = runtime.block_on(adapter.request_device(&wgpu::DeviceDescriptor::default())).unwrap();
+    Graphics { stage: Clear { device: device.clone(), queue: queue.clone(), luma: 0, lost_in }, device, queue }
+}
+
+fn picture(index: u64, clock: ClientClock) -> Decoded {
+    let plane = |value: u8| Plane { width: 1, height: 1, stride: 1, data: Bytes::from(vec![value]) };
+    let planes = [plane(index as u8), plane(128), plane(128)];
+    Decoded {
+        picture: Picture {
+            pts_us: index * 10_000,
+            width: 1,
+            height: 1,
+            stereo: StereoLayout::Mono,
+            samples: Samples::Yuv { planes, colour: Colour::default() },
+        },
+        arrived: clock.now(),
+        decoded: clock.now(),
+        held_us: 0,
+    }
+}
+
+/// Feeds `count` pictures, 10 ms apart in pts, with their lights, as fast as they are taken; then the stream ends.
+fn frame_loop(count: u64, csv: Option<&std::path::Path>) -> (FrameLoop, std::thread::JoinHandle<()>) {
+    let clock = ClientClock::start();
+    let (pictures, taken): (SyncSender<Decoded>, Receiver<Decoded>) = sync_channel(1);
+    let (lights, arrivals) = channel();
+    for index in 0..count {
+        let light = LightFrame { pts_us: index * 10_000, published_us: 0, lift: Default::default(), sh: vec![Vec3::ONE; SH9], lights: vec![] };
+        lights.send(Arrival::Light(ReceivedLight { light, arrived: clock.now() })).unwrap();
+    }
+    let feeder = std::thread::spawn(move || {
+        // The arrivals' sender lives as long as the pictures'.
+        let _lights = lights;
+        for index in 0..count {
+            if pictures.send(picture(index, clock)).is_err() {
+                return;
+            }
+        }
+    });
+    let inputs = Inputs { pictures: taken, arrivals, decoder: Arc::new(DecodeCounters::default()), audio: None };
+    (FrameLoop::new(inputs, clock, Stats::open(csv).unwrap()), feeder)
+}
+
+fn options() -> HeadlessOptions {
+    HeadlessOptions {
+        width: 33,
+        height: 7,
+        pace: Pace::Video,
+        frames: None,
+        duration: None,
+        snapshot: None,
+        record: None,
+        stop: Arc::new(AtomicBool::new(false)),
+    }
+}
+
+fn still(_since: Duration) -> Camera {
+    Camera::looking(0.0, 0.0, 1.0)
+}
+
+#[test]
+fn the_last_picture_is_in_the_snapshot_and_every_frame_in_the_csv() {
+    let folder = tempfile::tempdir().unwrap();
+    let (snapshot, csv) = (folder.path().join("out.png"), folder.path().join("stats.csv"));
+    let (mut frames, feeder) = frame_loop(20, Some(&csv));
+    let options = HeadlessOptions { snapshot: Some(snapshot.clone()), record: Some(folder.path().join("out.mp4")), ..options() };
+    let report = run(&mut frames, &options, &mut || Ok(graphics(None)), &mut still).unwrap();
+    feeder.join().unwrap();
+    assert!(report.frames >= 1);
+    let recorded = report.recording.unwrap().unwrap();
+    assert_eq!(recorded.frames + recorded.dropped, report.frames);
+    let image = image::open(&snapshot).unwrap().to_rgba8();
+    assert_eq!(image.dimensions(), (33, 7));
+    // Linear 19/255 as sRGB: 255 · (1.055 · (19/255)^(1/2.4) − 0.055) = 77.2. One code for the driver's rounding.
+    assert!(image.pixels().all(|texel| texel.0[0].abs_diff(77) <= 1 && texel.0[1..] == [0, 255, 255]), "{:?}", image.get_pixel(0, 0));
+    let summary = frames.into_stats().finish().unwrap();
+    assert_eq!(summary.frames(), report.frames);
+    assert_eq!(std::fs::read_to_string(&csv).unwrap().lines().count() as u64, report.frames + 1);
+    assert!(summary.to_string().contains("gpu clear"));
+}
+
+#[test]
+fn a_fixed_pace_repeats_the_picture_and_stops_at_the_count() {
+    let (mut frames, feeder) = frame_loop(1, None);
+    // The stream must not end before the count is reached.
+    let options = HeadlessOptions { frames: Some(1), pace: Pace::Fixed(200.0), ..options() };
+    let report = run(&mut frames, &options, &mut || Ok(graphics(None)), &mut still).unwrap();
+    feeder.join().unwrap();
+    assert!(report.frames <= 1);
+    let wrong = HeadlessOptions { pace: Pace::Fixed(0.0), ..options };
+    assert!(matches!(run(&mut frames, &wrong, &mut || Ok(graphics(None)), &mut still), Err(HeadlessError::Pace(_))));
+}
+
+#[test]
+fn a_lost_device_is_opened_anew_a_few_times() {
+    let (mut frames, feeder) = frame_loop(12, None);
+    let mut opened = 0;
+    let report = run(
+        &mut frames,
+        &options(),
+        &mut || {
+            opened += 1;
+            Ok(graphics((opened == 1).then_some(1)))
+        },
+        &mut still,
+    );
+    feeder.join().unwrap();
+    assert!(report.unwrap().frames >= 1);
+    assert_eq!(opened, 2);
+
+    let (mut frames, feeder) = frame_loop(12, None);
+    let mut opened = 0;
+    let failed = run(
+        &mut frames,
+        &options(),
+        &mut || {
+            opened += 1;
+            Ok(graphics(Some(0)))
+        },
+        &mut still,
+    );
+    drop(frames);
+    feeder.join().unwrap();
+    assert!(matches!(failed, Err(HeadlessError::Frame(FrameError::DeviceLost { .. }))));
+    assert_eq!(opened, 1 + MAX_REOPENS);
+}
+
+#[test]
+fn stopping_and_finding_nothing_are_told_apart() {
+    let stopped = options();
+    stopped.stop.store(true, Ordering::Relaxed);
+    let (mut frames, feeder) = frame_loop(1, None);
+    assert_eq!(run(&mut frames, &stopped, &mut || Ok(graphics(None)), &mut still).unwrap().frames, 0);
+    let snapshot = HeadlessOptions { snapshot: Some("/nowhere/out.png".into()), ..stopped };
+    assert!(matches!(run(&mut frames, &snapshot, &mut || Ok(graphics(None)), &mut still), Err(HeadlessError::NoPicture)));
+    let refused = run::<Clear>(&mut frames, &options(), &mut || Err("no adapter".into()), &mut still);
+    assert!(refused.unwrap_err().to_string().contains("no adapter"));
+    drop(frames);
+    feeder.join().unwrap();
+}

@@ -1,0 +1,329 @@
+//! One time per stage of every frame: as CSV while running, as a summary at the end. Memory is bounded however long it runs.
+
+mod histogram;
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::Path;
+
+use mr360_protocol::clock::ClientTime;
+
+pub use self::histogram::Histogram;
+
+use crate::decode::DecodeCounters;
+use crate::sync::Drops;
+
+/// Most passes and most tracks told apart; names come from the program and from the catalog.
+const MAX_NAMES: usize = 64;
+/// Columns before those of the passes.
+const COLUMNS: &str = "frame,pts_us,arrived_us,decoded_us,light_arrived_us,paired_us,uploaded_us,rendered_us,presented_us,light_age_us,video_age_us,\
+playout_delay_us,dropped_superseded,dropped_no_light,dropped_late,dropped_overflow,light_late,decode_errors,decode_backlog";
+
+/// GPU time of one pass.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PassTime {
+    /// Its name: `shadow`, `view`, …
+    pub name: &'static str,
+    /// Milliseconds.
+    pub gpu_ms: f32,
+}
+
+/// One presented frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FrameTimes {
+    /// Presented frames before this one.
+    pub frame: u64,
+    /// Of the picture shown.
+    pub pts_us: u64,
+    /// True the first time that this picture is shown: only then are the stages up to the upload counted.
+    pub new_picture: bool,
+    /// When the picture's access unit had arrived.
+    pub arrived: ClientTime,
+    /// When the picture left the decoder.
+    pub decoded: ClientTime,
+    /// When its light had arrived, if it has one.
+    pub light_arrived: Option<ClientTime>,
+    /// When both were handed to the renderer.
+    pub paired: ClientTime,
+    /// When the upload was submitted.
+    pub uploaded: ClientTime,
+    /// When drawing the view began.
+    pub begun: ClientTime,
+    /// When the view's passes were submitted.
+    pub rendered: ClientTime,
+    /// When the frame was handed to the display, or read back.
+    pub presented: ClientTime,
+    /// How late pictures are played out on purpose, microseconds.
+    pub playout_delay_us: u64,
+}
+
+/// Why statistics cannot be written.
+#[derive(Debug, thiserror::Error)]
+#[error("{path}: statistics cannot be written ({source}); check that the folder exists, can be written to, and has space")]
+pub struct StatsError {
+    path: String,
+    source: std::io::Error,
+}
+
+struct Csv {
+    path: String,
+    file: BufWriter<File>,
+    /// Passes that have a column; set by the first frame.
+    passes: Option<Vec<&'static str>>,
+}
+
+/// Collects.
+#[derive(Default)]
+pub struct Stats {
+    csv: Option<Csv>,
+    stages: BTreeMap<&'static str, Histogram>,
+    passes: BTreeMap<&'static str, Histogram>,
+    tracks: BTreeMap<String, (u64, u64)>,
+    frames: u64,
+    pictures: u64,
+    skipped: u64,
+    drops: Drops,
+    decode: [u64; 5],
+}
+
+impl Stats {
+    /// Without a path only the summary is made.
+    ///
+    /// # Errors
+    /// [`StatsError`] when the file cannot be created.
+    pub fn open(path: Option<&Path>) -> Result<Self, StatsError> {
+        let csv = path
+            .map(|path| {
+                let file = File::create(path).map_err(|source| StatsError { path: path.display().to_string(), source })?;
+                Ok(Csv { path: path.display().to_string(), file: BufWriter::new(file), passes: None })
+            })
+            .transpose()?;
+        Ok(Self { csv, ..Self::default() })
+    }
+
+    /// Counts received bytes of a track.
+    pub fn received(&mut self, track: &str, bytes: usize) {
+        if !self.tracks.contains_key(track) {
+            if self.tracks.len() >= MAX_NAMES {
+                return;
+            }
+            self.tracks.insert(track.to_owned(), (0, 0));
+        }
+        if let Some((frames, total)) = self.tracks.get_mut(track) {
+            *frames += 1;
+            *total += bytes as u64;
+        }
+    }
+
+    /// Counts a frame that the display had no room for.
+    pub fn skipped(&mut self) {
+        self.skipped += 1;
+    }
+
+    /// Takes in what was dropped so far.
+    pub fn counted(&mut self, drops: Drops, decode: Option<&DecodeCounters>) {
+        self.drops = drops;
+        if let Some(decode) = decode {
+            self.decode = [decode.units(), decode.pictures(), decode.errors(), decode.unanchored(), decode.backlog()];
+        }
+    }
+
+    /// Takes in a presented frame. A file that cannot be written to is given up with one line in the log.
+    pub fn presented(&mut self, times: &FrameTimes, passes: &[PassTime]) {
+        self.frames += 1;
+        let mut stage = |name, from: ClientTime, to: ClientTime| {
+            self.stages.entry(name).or_default().record(to.0.saturating_sub(from.0));
+        };
+        if times.new_picture {
+            self.pictures += 1;
+            stage("decode (arrived → decoded)", times.arrived, times.decoded);
+            stage("playout (decoded → paired)", times.decoded, times.paired);
+            stage("upload (paired → submitted)", times.paired, times.uploaded);
+            stage("video age (arrived → presented)", times.arrived, times.presented);
+            if let Some(light) = times.light_arrived {
+                stage("light age (arrived → presented)", light, times.presented);
+            }
+        }
+        stage("view (begun → submitted)", times.begun, times.rendered);
+        stage("present (submitted → presented)", times.rendered, times.presented);
+        for pass in passes.iter().filter(|pass| pass.gpu_ms.is_finite() && pass.gpu_ms >= 0.0) {
+            if self.passes.len() < MAX_NAMES || self.passes.contains_key(pass.name) {
+                self.passes.entry(pass.name).or_default().record((f64::from(pass.gpu_ms) * 1_000.0) as u64);
+            }
+        }
+        self.write_row(times, passes);
+    }
+
+    fn write_row(&mut self, times: &FrameTimes, passes: &[PassTime]) {
+        let (drops, decode) = (self.drops, self.decode);
+        let Some(csv) = self.csv.as_mut() else { return };
+        if let Err(source) = csv.write(times, passes, drops, decode) {
+            tracing::error!("{}; going on without", StatsError { path: csv.path.clone(), source });
+            self.csv = None;
+        }
+    }
+
+    /// Writes the rest of the file and makes the summary.
+    ///
+    /// # Errors
+    /// [`StatsError`] when the rest cannot be written.
+    pub fn finish(mut self) -> Result<Summary, StatsError> {
+        if let Some(csv) = self.csv.as_mut() {
+            csv.file.flush().map_err(|source| StatsError { path: csv.path.clone(), source })?;
+        }
+        Ok(Summary(self))
+    }
+}
+
+impl Csv {
+    fn write(&mut self, times: &FrameTimes, passes: &[PassTime], drops: Drops, decode: [u64; 5]) -> std::io::Result<()> {
+        if self.passes.is_none() {
+            write!(self.file, "{COLUMNS}")?;
+            for pass in passes {
+                write!(self.file, ",gpu_{}_ms", pass.name)?;
+            }
+            writeln!(self.file)?;
+        }
+        let columns = self.passes.get_or_insert_with(|| passes.iter().map(|pass| pass.name).collect());
+        let light = times.light_arrived.map(|light| (light.0, times.presented.0.saturating_sub(light.0)));
+        let optional = |value: Option<u64>| value.map_or(String::new(), |value| value.to_string());
+        let [_, _, errors, _, backlog] = decode;
+        write!(
+            self.file,
+            "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{errors},{backlog}",
+            times.frame,
+            times.pts_us,
+            times.arrived.0,
+            times.decoded.0,
+            optional(light.map(|l| l.0)),
+            times.paired.0,
+            times.uploaded.0,
+            times.rendered.0,
+            times.presented.0,
+            optional(light.map(|l| l.1)),
+            times.presented.0.saturating_sub(times.arrived.0),
+            times.playout_delay_us,
+            drops.superseded,
+            drops.no_light,
+            drops.late,
+            drops.overflow,
+            drops.light_late,
+        )?;
+        for column in columns {
+            match passes.iter().find(|pass| pass.name == *column) {
+                Some(pass) => write!(self.file, ",{:.3}", pass.gpu_ms)?,
+                None => write!(self.file, ",")?,
+            }
+        }
+        writeln!(self.file)
+    }
+}
+
+/// What a run came to; prints as a table.
+pub struct Summary(Stats);
+
+impl Summary {
+    /// Frames presented.
+    #[must_use]
+    pub fn frames(&self) -> u64 {
+        self.0.frames
+    }
+
+    /// Different pictures presented.
+    #[must_use]
+    pub fn pictures(&self) -> u64 {
+        self.0.pictures
+    }
+}
+
+impl fmt::Display for Summary {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let stats = &self.0;
+        writeln!(f, "{} frames presented, {} pictures", stats.frames, stats.pictures)?;
+        if stats.frames > 0 {
+            writeln!(f, "{:<42} {:>8} {:>9} {:>9} {:>9} {:>9}  ms", "stage", "count", "mean", "p50", "p95", "max")?;
+        }
+        let gpu = stats.passes.iter().map(|(name, histogram)| (format!("gpu {name}"), histogram));
+        for (name, histogram) in stats.stages.iter().map(|(name, h)| ((*name).to_owned(), h)).chain(gpu) {
+            let ms = |us: u64| us as f64 / 1_000.0;
+            let (mean, max) = (histogram.mean() / 1_000.0, ms(histogram.max()));
+            let (p50, p95) = (ms(histogram.percentile(50)), ms(histogram.percentile(95)));
+            writeln!(f, "{name:<42} {:>8} {mean:>9.3} {p50:>9.3} {p95:>9.3} {max:>9.3}", histogram.count())?;
+        }
+        let Drops { superseded, no_light, late, duplicate, overflow, light_late, light_unused } = stats.drops;
+        writeln!(
+            f,
+            "pictures not shown: {superseded} superseded, {no_light} without light, {late} late, {duplicate} duplicate, {overflow} overflow; \
+             display skipped {}; lights: {light_late} late, {light_unused} unused",
+            stats.skipped
+        )?;
+        let [units, pictures, errors, unanchored, backlog] = stats.decode;
+        writeln!(f, "decoder: {units} units, {pictures} pictures, {errors} errors, {unanchored} before a keyframe, {backlog} dropped by backlog")?;
+        for (track, (frames, bytes)) in &stats.tracks {
+            writeln!(f, "track {track}: {frames} frames, {bytes} bytes")?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn times(frame: u64) -> FrameTimes {
+        let at = |us| ClientTime(frame * 33_000 + us);
+        FrameTimes {
+            frame,
+            pts_us: frame * 33_000,
+            new_picture: true,
+            arrived: at(0),
+            decoded: at(4_000),
+            light_arrived: (frame != 1).then_some(at(6_000)),
+            paired: at(24_000),
+            uploaded: at(25_000),
+            begun: at(25_500),
+            rendered: at(27_000),
+            presented: at(30_000),
+            playout_delay_us: 20_000,
+        }
+    }
+
+    #[test]
+    fn csv_has_one_column_for_every_value() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("stats.csv");
+        let mut stats = Stats::open(Some(&path)).unwrap();
+        for frame in 0..3 {
+            let passes = [PassTime { name: "shadow", gpu_ms: 1.5 }, PassTime { name: "view", gpu_ms: 2.25 }];
+            stats.presented(&times(frame), if frame == 2 { &passes[1..] } else { &passes });
+        }
+        stats.received("video", 1_000);
+        stats.received("video", 500);
+        stats.counted(Drops { no_light: 7, ..Drops::default() }, None);
+        let summary = stats.finish().unwrap();
+        let text = std::fs::read_to_string(&path).unwrap();
+        let lines: Vec<_> = text.lines().collect();
+        assert_eq!(lines.len(), 4);
+        assert!(lines[0].ends_with("decode_backlog,gpu_shadow_ms,gpu_view_ms"));
+        assert!(lines.iter().all(|line| line.split(',').count() == lines[0].split(',').count()));
+        assert_eq!(lines[1], "0,0,0,4000,6000,24000,25000,27000,30000,24000,30000,20000,0,0,0,0,0,0,0,1.500,2.250");
+        assert!(lines[2].starts_with("1,33000,33000,37000,,57000,"));
+        assert!(lines[3].ends_with(",,2.250"));
+        let printed = summary.to_string();
+        assert!(printed.contains("7 without light") && printed.contains("track video: 2 frames, 1500 bytes"), "{printed}");
+        assert_eq!((summary.frames(), summary.pictures()), (3, 3));
+    }
+
+    #[test]
+    fn a_full_disk_ends_the_file_and_nothing_else() {
+        let mut stats = Stats::open(Some(Path::new("/dev/full"))).unwrap();
+        for frame in 0..1_000 {
+            stats.presented(&times(frame), &[]);
+        }
+        assert_eq!(stats.finish().unwrap().frames(), 1_000);
+        let error = Stats::open(Some(Path::new("/nowhere/stats.csv"))).err().unwrap().to_string();
+        assert!(error.contains("/nowhere/stats.csv") && error.contains("folder"), "{error}");
+    }
+}

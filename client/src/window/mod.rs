@@ -1,0 +1,307 @@
+//! Presents in a window: drag to look around, wheel to zoom, drag an object to move it, F11 for full screen, R to look ahead again,
+//! Esc to leave.
+
+mod controls;
+mod surface;
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use glam::Vec2;
+use winit::application::ApplicationHandler;
+use winit::dpi::LogicalSize;
+use winit::event::{ElementState, KeyEvent, MouseButton, MouseScrollDelta, StartCause, WindowEvent};
+use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop};
+use winit::keyboard::{KeyCode, PhysicalKey};
+use winit::window::{Fullscreen, Window, WindowId};
+
+pub use self::controls::UserAction;
+
+use self::controls::Controls;
+use self::surface::SurfacePresenter;
+use crate::frame_loop::{BoxError, FrameError, FrameLoop, Redraw, Stage};
+
+/// Lost devices within [`REOPEN_SPAN`] after which the window is given up.
+const MAX_REOPENS: u32 = 3;
+/// See [`MAX_REOPENS`].
+const REOPEN_SPAN: Duration = Duration::from_secs(10);
+/// A touchpad's pixels that make a notch of a wheel.
+const PIXELS_PER_NOTCH: f64 = 40.0;
+
+/// How the window begins and when it ends.
+#[derive(Debug, Clone)]
+pub struct WindowOptions {
+    /// Title.
+    pub title: String,
+    /// Size at the start, in points.
+    pub size: (u32, u32),
+    /// Closes after so many frames.
+    pub frames: Option<u64>,
+    /// Closes after so long.
+    pub duration: Option<Duration>,
+    /// Closes when set, as by Ctrl-C.
+    pub stop: Arc<AtomicBool>,
+}
+
+/// An open GPU that can present to the window, with its renderer.
+pub struct WindowGraphics<S> {
+    /// Made from the window.
+    pub surface: wgpu::Surface<'static>,
+    /// One that can present to it.
+    pub adapter: wgpu::Adapter,
+    /// The device.
+    pub device: wgpu::Device,
+    /// Its queue.
+    pub queue: wgpu::Queue,
+    /// The renderer.
+    pub stage: S,
+}
+
+/// Why there is no window, or no longer.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum WindowError {
+    /// There is nowhere to open one: fall back to the headless mode.
+    #[error("no window can be opened: {detail}; set DISPLAY or WAYLAND_DISPLAY, or use --mode headless")]
+    NoDisplay {
+        /// What was missing.
+        detail: String,
+    },
+    /// The GPU could not be opened for the window.
+    #[error("the GPU cannot be opened for the window: {0}")]
+    Open(BoxError),
+    /// A frame could not be drawn.
+    #[error(transparent)]
+    Frame(#[from] FrameError),
+    /// The window system failed while the window was open.
+    #[error("the window system failed ({detail}); the broadcast is not affected, join again")]
+    System {
+        /// What it said.
+        detail: String,
+    },
+}
+
+impl WindowError {
+    /// True when nothing was shown yet and the headless mode can take over.
+    #[must_use]
+    pub fn is_no_display(&self) -> bool {
+        matches!(self, Self::NoDisplay { .. })
+    }
+}
+
+/// Opens the GPU for a window, and again when it was lost.
+pub type Open<'a, S> = dyn FnMut(Arc<Window>) -> Result<WindowGraphics<S>, BoxError> + 'a;
+
+/// Shows a window until the user closes it, an end of `options` is reached, or the stream ends; then returns the frames presented.
+/// Call it on the main thread, and once in a program: the window systems ask for both. `act` must not block.
+///
+/// # Errors
+/// [`WindowError::NoDisplay`] before anything was shown; everything else ends a window that was open.
+pub fn run<S: Stage>(
+    frames: &mut FrameLoop,
+    options: &WindowOptions,
+    open: &mut Open<'_, S>,
+    act: &mut dyn FnMut(UserAction),
+) -> Result<u64, WindowError> {
+    require_display()?;
+    let event_loop = EventLoop::new().map_err(|error| WindowError::NoDisplay { detail: error.to_string() })?;
+    let first_frame = frames.frames();
+    let mut app = App {
+        frames,
+        options,
+        open,
+        act,
+        controls: Controls::new(),
+        shown: None,
+        first_frame,
+        begin: Instant::now(),
+        reopened: Vec::new(),
+        outcome: Ok(()),
+    };
+    let ran = event_loop.run_app(&mut app);
+    let App { frames, outcome, .. } = app;
+    outcome?;
+    ran.map_err(|error| WindowError::System { detail: error.to_string() })?;
+    Ok(frames.frames() - first_frame)
+}
+
+/// Says what is missing more clearly than the window system does.
+fn require_display() -> Result<(), WindowError> {
+    let set = |name| std::env::var_os(name).is_some_and(|value| !value.is_empty());
+    if cfg!(all(unix, not(target_vendor = "apple"))) && !["DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"].into_iter().any(set) {
+        return Err(WindowError::NoDisplay { detail: "there is no display".to_owned() });
+    }
+    Ok(())
+}
+
+/// An open window.
+struct Shown<S> {
+    window: Arc<Window>,
+    presenter: SurfacePresenter,
+    stage: S,
+}
+
+struct App<'a, S> {
+    frames: &'a mut FrameLoop,
+    options: &'a WindowOptions,
+    open: &'a mut Open<'a, S>,
+    act: &'a mut dyn FnMut(UserAction),
+    controls: Controls,
+    shown: Option<Shown<S>>,
+    first_frame: u64,
+    begin: Instant,
+    reopened: Vec<Instant>,
+    outcome: Result<(), WindowError>,
+}
+
+impl<S: Stage> App<'_, S> {
+    fn show(&mut self, window: Arc<Window>) -> Result<(), WindowError> {
+        let graphics = (self.open)(Arc::clone(&window)).map_err(WindowError::Open)?;
+        let size = window.inner_size();
+        let (presenter, stage) = SurfacePresenter::new(graphics, size.width, size.height)?;
+        self.controls.resized(size.width, size.height);
+        self.shown = Some(Shown { window, presenter, stage });
+        Ok(())
+    }
+
+    fn create(&mut self, event_loop: &ActiveEventLoop) -> Result<(), WindowError> {
+        let (width, height) = self.options.size;
+        let attributes = Window::default_attributes()
+            .with_title(self.options.title.clone())
+            .with_inner_size(LogicalSize::new(f64::from(width.max(1)), f64::from(height.max(1))));
+        let window = event_loop.create_window(attributes).map_err(|error| WindowError::NoDisplay { detail: error.to_string() })?;
+        self.show(Arc::new(window))
+    }
+
+    /// Opens the GPU anew for the same window, a few times.
+    fn reopen(&mut self, detail: &str) -> Result<(), WindowError> {
+        let now = Instant::now();
+        self.reopened.retain(|at| now.duration_since(*at) < REOPEN_SPAN);
+        self.reopened.push(now);
+        let attempt = self.reopened.len();
+        self.frames.device_lost();
+        // Everything of the old device goes before the new one comes: a window has one surface at a time.
+        let window = self.shown.take().map(|shown| shown.window);
+        match window {
+            Some(window) if attempt <= MAX_REOPENS as usize => {
+                tracing::warn!(attempt, "the GPU device was lost ({detail}); opening it anew");
+                self.show(window)
+            }
+            _ => Err(FrameError::DeviceLost { detail: detail.to_owned() }.into()),
+        }
+    }
+
+    fn turn(&mut self) -> Result<bool, WindowError> {
+        for action in self.controls.take_actions() {
+            (self.act)(action);
+        }
+        let done = self.frames.frames() - self.first_frame;
+        let over = self.options.frames.is_some_and(|most| done >= most) || self.options.duration.is_some_and(|most| self.begin.elapsed() >= most);
+        if over || self.options.stop.load(Ordering::Relaxed) {
+            return Ok(true);
+        }
+        let Some(shown) = self.shown.as_mut() else { return Ok(false) };
+        match self.frames.turn(&mut shown.stage, &mut shown.presenter, &self.controls.camera(), Redraw::OnChange) {
+            Ok(turn) => Ok(turn.ended),
+            Err(FrameError::DeviceLost { detail }) => self.reopen(&detail).map(|()| false),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    fn end(&mut self, event_loop: &ActiveEventLoop, outcome: Result<(), WindowError>) {
+        self.controls.released();
+        for action in self.controls.take_actions() {
+            (self.act)(action);
+        }
+        if self.outcome.is_ok() {
+            self.outcome = outcome;
+        }
+        event_loop.exit();
+    }
+
+    fn key(&mut self, event_loop: &ActiveEventLoop, event: &KeyEvent) {
+        if event.state != ElementState::Pressed || event.repeat {
+            return;
+        }
+        match event.physical_key {
+            PhysicalKey::Code(KeyCode::Escape) => self.end(event_loop, Ok(())),
+            PhysicalKey::Code(KeyCode::KeyR) => self.controls.reset(),
+            PhysicalKey::Code(KeyCode::F11) => {
+                if let Some(shown) = &self.shown {
+                    let full = shown.window.fullscreen().is_none().then_some(Fullscreen::Borderless(None));
+                    shown.window.set_fullscreen(full);
+                }
+            }
+            _ => {}
+        }
+    }
+}
+
+impl<S: Stage> ApplicationHandler for App<'_, S> {
+    fn new_events(&mut self, _event_loop: &ActiveEventLoop, _cause: StartCause) {}
+
+    fn resumed(&mut self, event_loop: &ActiveEventLoop) {
+        if self.shown.is_none()
+            && let Err(error) = self.create(event_loop)
+        {
+            self.end(event_loop, Err(error));
+        }
+    }
+
+    fn window_event(&mut self, event_loop: &ActiveEventLoop, _window: WindowId, event: WindowEvent) {
+        match event {
+            WindowEvent::CloseRequested => self.end(event_loop, Ok(())),
+            WindowEvent::Resized(size) => {
+                self.controls.resized(size.width, size.height);
+                if let Some(shown) = self.shown.as_mut() {
+                    shown.presenter.resize(size.width, size.height);
+                    // What was drawn for the other size is of no use.
+                    self.frames.redraw();
+                }
+            }
+            WindowEvent::RedrawRequested => self.frames.redraw(),
+            WindowEvent::KeyboardInput { event, .. } => self.key(event_loop, &event),
+            WindowEvent::CursorMoved { position, .. } => {
+                let to = Vec2::new(position.x as f32, position.y as f32);
+                self.controls.moved(to, self.shown.as_ref().map(|shown| &shown.stage));
+            }
+            WindowEvent::MouseInput { state: ElementState::Pressed, button: MouseButton::Left, .. } => {
+                if let Some(shown) = &self.shown {
+                    self.controls.pressed(&shown.stage);
+                }
+            }
+            WindowEvent::MouseInput { state: ElementState::Released, button: MouseButton::Left, .. } | WindowEvent::Focused(false) => {
+                self.controls.released();
+            }
+            WindowEvent::MouseWheel { delta, .. } => self.controls.zoomed(match delta {
+                MouseScrollDelta::LineDelta(_, lines) => lines,
+                MouseScrollDelta::PixelDelta(pixels) => (pixels.y / PIXELS_PER_NOTCH) as f32,
+            }),
+            _ => {}
+        }
+    }
+
+    fn about_to_wait(&mut self, event_loop: &ActiveEventLoop) {
+        match self.turn() {
+            Ok(true) => self.end(event_loop, Ok(())),
+            Ok(false) => {
+                let next = self.frames.clock().instant(self.frames.next_turn());
+                event_loop.set_control_flow(ControlFlow::WaitUntil(next));
+            }
+            Err(error) => self.end(event_loop, Err(error)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_missing_display_is_named_with_its_remedy() {
+        let error = WindowError::NoDisplay { detail: "there is no display".to_owned() };
+        assert!(error.is_no_display());
+        assert!(error.to_string().contains("DISPLAY") && error.to_string().contains("headless"));
+    }
+}
