@@ -35,10 +35,8 @@ impl Table {
     /// CSV of RFC 4180, with \n as line end.
     #[must_use]
     pub fn csv(&self) -> String {
-        let cell = |text: &String| match text.contains([',', '"', '\n', '\r']) {
-            true => format!("\"{}\"", text.replace('"', "\"\"")),
-            false => text.clone(),
-        };
+        let quoted = |text: &str| format!("\"{}\"", text.replace('"', "\"\""));
+        let cell = |text: &String| if text.contains([',', '"', '\n', '\r']) { quoted(text) } else { text.clone() };
         let line = |cells: &Vec<String>| cells.iter().map(cell).collect::<Vec<_>>().join(",") + "\n";
         std::iter::once(&self.head).chain(&self.rows).map(line).collect()
     }
