@@ -2,8 +2,8 @@
 //!
 //! Nothing in here waits for network, decoder or GPU; a [`Presenter`] decides what presenting means.
 
-use std::sync::mpsc::{Receiver, RecvTimeoutError, TryRecvError};
 use std::sync::Arc;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, TryRecvError};
 use std::time::Duration;
 
 use glam::{Vec2, Vec3};

@@ -16,7 +16,8 @@ use crate::image_file;
 use crate::lighting::{self, DEFAULT_METHOD, Estimate, LightMethod, METHODS, StepTimes};
 
 /// Stereo layout as the command line names it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum StereoArg {
     /// One view for both eyes.
     Mono,

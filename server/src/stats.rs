@@ -1,1 +1,230 @@
-//! stats
+//! One timestamp a stage for every frame: CSV rows while it runs, a summary at the end.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use hdrhistogram::Histogram;
+use mr360_protocol::clock::ServerTime;
+
+use crate::ingest::IngestCounters;
+use crate::lighting::StepTimes;
+
+/// Coded frames that may wait for their light before they are written without it.
+const MAX_WAITING: usize = 256;
+
+/// Shared between the threads of the data path; each call is short.
+#[derive(Clone)]
+pub struct Stats(Arc<Mutex<Inner>>);
+
+struct Inner {
+    csv: Option<Csv>,
+    waiting: BTreeMap<u64, Coded>,
+    frames: u64,
+    /// By name, in the order of the data path.
+    stages: Vec<(String, Histogram<u64>)>,
+    bytes: [(&'static str, u64); 3],
+    without_light: u64,
+    light_errors: u64,
+    media_errors: u64,
+    first_pts_us: Option<u64>,
+    last_pts_us: u64,
+}
+
+struct Csv {
+    path: PathBuf,
+    out: BufWriter<File>,
+    header_written: bool,
+}
+
+struct Coded {
+    ingested: ServerTime,
+    published: ServerTime,
+    bytes: usize,
+}
+
+/// Light of one frame, as published.
+pub struct LightRow<'a> {
+    /// The frame.
+    pub pts_us: u64,
+    /// When its picture was decoded.
+    pub decoded: ServerTime,
+    /// When its estimate began.
+    pub begun: ServerTime,
+    /// When its light went to the transport.
+    pub published: ServerTime,
+    /// Steps of the estimate.
+    pub steps: &'a StepTimes,
+    /// Number of lights.
+    pub lights: usize,
+    /// Size on the wire.
+    pub bytes: usize,
+}
+
+const VIDEO: usize = 0;
+const LIGHT: usize = 1;
+const AUDIO: usize = 2;
+
+impl Stats {
+    /// Statistics that are also written to `csv`, if given.
+    ///
+    /// # Errors
+    /// When the file cannot be created.
+    pub fn new(csv: Option<&Path>) -> std::io::Result<Self> {
+        let csv = csv
+            .map(|path| File::create(path).map(|file| Csv { path: path.to_owned(), out: BufWriter::new(file), header_written: false }))
+            .transpose()?;
+        Ok(Self(Arc::new(Mutex::new(Inner {
+            csv,
+            waiting: BTreeMap::new(),
+            frames: 0,
+            stages: Vec::new(),
+            bytes: [("video", 0), ("light", 0), ("audio", 0)],
+            without_light: 0,
+            light_errors: 0,
+            media_errors: 0,
+            first_pts_us: None,
+            last_pts_us: 0,
+        }))))
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Inner> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A coded frame went to the transport.
+    pub fn video(&self, pts_us: u64, ingested: ServerTime, published: ServerTime, bytes: usize) {
+        let mut inner = self.lock();
+        inner.frames += 1;
+        inner.first_pts_us.get_or_insert(pts_us);
+        inner.last_pts_us = pts_us;
+        inner.bytes[VIDEO].1 += bytes as u64;
+        inner.record("publish video", published.0.saturating_sub(ingested.0));
+        inner.waiting.insert(pts_us, Coded { ingested, published, bytes });
+        if inner.waiting.len() > MAX_WAITING
+            && let Some((pts_us, coded)) = inner.waiting.pop_first()
+        {
+            inner.without_light += 1;
+            inner.write_row(pts_us, &coded, None);
+        }
+    }
+
+    /// The light of a frame went to the transport.
+    pub fn light(&self, row: &LightRow<'_>) {
+        let mut inner = self.lock();
+        inner.bytes[LIGHT].1 += row.bytes as u64;
+        let Some(coded) = inner.waiting.remove(&row.pts_us) else { return };
+        inner.record("decode", row.decoded.0.saturating_sub(coded.ingested.0));
+        for (name, duration) in row.steps.iter() {
+            inner.record(&format!("light: {name}"), micros(duration));
+        }
+        inner.record("light", row.published.0.saturating_sub(row.begun.0));
+        inner.record("ingest to light published", row.published.0.saturating_sub(coded.ingested.0));
+        inner.write_row(row.pts_us, &coded, Some(row));
+    }
+
+    /// An audio packet went to the transport.
+    pub fn audio(&self, bytes: usize) {
+        self.lock().bytes[AUDIO].1 += bytes as u64;
+    }
+
+    /// The light of a frame could not be found or published.
+    pub fn light_error(&self) {
+        self.lock().light_errors += 1;
+    }
+
+    /// A packet could not be published.
+    pub fn media_error(&self) {
+        self.lock().media_errors += 1;
+    }
+
+    /// The summary, many lines.
+    #[must_use]
+    pub fn summary(&self, survived: IngestCounters) -> String {
+        let mut inner = self.lock();
+        inner.flush();
+        let seconds = inner.last_pts_us.saturating_sub(inner.first_pts_us.unwrap_or(0)) as f64 / 1e6;
+        let mut text = format!("{} frames in {seconds:.1} s\n", inner.frames);
+        for (name, h) in &inner.stages {
+            let [mean, p50, p95, max] =
+                [h.mean(), h.value_at_quantile(0.5) as f64, h.value_at_quantile(0.95) as f64, h.max() as f64].map(|us| us / 1e3);
+            text += &format!("  {name:<28} mean {mean:8.2}  p50 {p50:8.2}  p95 {p95:8.2}  max {max:8.2} ms\n");
+        }
+        for (name, bytes) in inner.bytes {
+            let rate = if seconds > 0.0 { bytes as f64 * 8e-3 / seconds } else { 0.0 };
+            text += &format!("  {name:<28} {bytes:>12} bytes  {rate:>10.1} kbit/s\n");
+        }
+        let IngestCounters { reconnects, timestamp_jumps, format_changes, corrupt_packets, frames_without_light } = survived;
+        text += &format!(
+            "  survived: {reconnects} reconnects, {timestamp_jumps} timestamp jumps, {format_changes} format changes, \
+             {corrupt_packets} corrupt packets\n  without light: {frames_without_light} too late, {} with errors, {} never decoded; \
+             {} packets not published",
+            inner.light_errors, inner.without_light, inner.media_errors
+        );
+        text
+    }
+}
+
+impl Inner {
+    fn record(&mut self, stage: &str, us: u64) {
+        let at = self.stages.iter().position(|(name, _)| name == stage).or_else(|| {
+            // One minute at three digits: a stage that takes longer is counted as a minute.
+            let histogram = Histogram::new_with_bounds(1, 60_000_000, 3).ok()?;
+            self.stages.push((stage.to_owned(), histogram));
+            Some(self.stages.len() - 1)
+        });
+        if let Some(at) = at {
+            self.stages[at].1.saturating_record(us);
+        }
+    }
+
+    fn write_row(&mut self, pts_us: u64, coded: &Coded, light: Option<&LightRow<'_>>) {
+        let Some(csv) = &mut self.csv else { return };
+        if let Err(error) = csv.row(pts_us, coded, light) {
+            tracing::error!(path = %csv.path.display(), %error, "statistics end here; the broadcast goes on");
+            self.csv = None;
+        }
+    }
+
+    fn flush(&mut self) {
+        while let Some((pts_us, coded)) = self.waiting.pop_first() {
+            self.without_light += 1;
+            self.write_row(pts_us, &coded, None);
+        }
+        if let Some(csv) = &mut self.csv
+            && let Err(error) = csv.out.flush()
+        {
+            tracing::error!(path = %csv.path.display(), %error, "statistics are incomplete");
+        }
+    }
+}
+
+impl Csv {
+    /// The steps of the method that runs name their columns, so the header waits for the first light.
+    fn row(&mut self, pts_us: u64, coded: &Coded, light: Option<&LightRow<'_>>) -> std::io::Result<()> {
+        if !self.header_written {
+            let Some(light) = light else { return Ok(()) };
+            write!(self.out, "pts_us,ingested_us,video_published_us,video_bytes,decoded_us,light_begun_us,light_published_us,lights,light_bytes")?;
+            for (name, _) in light.steps.iter() {
+                write!(self.out, ",light_{}_us", name.replace([' ', ','], "_"))?;
+            }
+            writeln!(self.out)?;
+            self.header_written = true;
+        }
+        write!(self.out, "{pts_us},{},{},{}", coded.ingested.0, coded.published.0, coded.bytes)?;
+        if let Some(light) = light {
+            write!(self.out, ",{},{},{},{},{}", light.decoded.0, light.begun.0, light.published.0, light.lights, light.bytes)?;
+            for (_, duration) in light.steps.iter() {
+                write!(self.out, ",{}", micros(duration))?;
+            }
+        }
+        writeln!(self.out)
+    }
+}
+
+fn micros(duration: Duration) -> u64 {
+    u64::try_from(duration.as_micros()).unwrap_or(u64::MAX)
+}

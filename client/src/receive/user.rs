@@ -35,7 +35,7 @@ pub(super) async fn publish(origin: moq_net::origin::Producer, room: String, use
     let result: anyhow::Result<()> = async {
         let broadcast = origin.create_broadcast(track::user_path(&room, &user))?;
         let track = broadcast.create_track(track::INTENT, track::scene_info())?;
-        broadcast.announce(moq_net::Route::default())?;
+        broadcast.announce(moq_net::origin::Route::default())?;
         loop {
             let mut group = track.append_group()?;
             for _ in 0..INTENTS_PER_GROUP {

@@ -97,7 +97,7 @@ impl MediaTracks {
 }
 
 fn timestamp(pts_us: u64) -> Result<Timestamp, moq_mux::Error> {
-    Timestamp::from_micros(pts_us).map_err(|error| moq_net::Error::from(error).into())
+    Timestamp::from_micros(pts_us).map_err(|_| moq_net::Error::from(moq_net::BoundsExceeded).into())
 }
 
 fn video_format(codec: VideoCodec) -> VideoFormat {

@@ -48,7 +48,7 @@ impl Broadcast {
                 scene: track::SCENE.to_owned(),
             });
         })?;
-        producer.announce(moq_net::Route::default())?;
+        producer.announce(moq_net::origin::Route::default())?;
         Ok(Self { producer, catalog, assets: Vec::new() })
     }
 

@@ -30,7 +30,7 @@ impl SceneTrack {
             self.deltas += 1;
             return Ok(());
         }
-        if let Some(mut full) = self.group.take() {
+        if let Some(full) = self.group.take() {
             full.finish()?;
         }
         let mut group = self.track.append_group()?;

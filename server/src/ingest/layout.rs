@@ -16,7 +16,8 @@ pub(super) const MIN_HEIGHT: u32 = 8;
 pub(super) const MAX_SIDE: u32 = 8192;
 
 /// How the sphere is drawn in one eye's picture.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, serde::Deserialize)]
+#[serde(try_from = "String")]
 pub enum Projection {
     /// Longitude across, latitude down. Broadcast as it is.
     #[default]
@@ -30,6 +31,37 @@ pub enum Projection {
         /// Field of view of each lens, degrees, in (0, 360).
         fov_deg: f32,
     },
+}
+
+/// Field of view of a fisheye lens that is not told: that of the common two-lens cameras.
+const DEFAULT_FISHEYE_DEG: f32 = 190.0;
+
+impl std::str::FromStr for Projection {
+    type Err = String;
+
+    /// Reads `equirect`, `cubemap`, `eac` or `dual-fisheye[:DEGREES]`.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (name, degrees) = text.split_once(':').map_or((text, None), |(name, degrees)| (name, Some(degrees)));
+        match (name, degrees) {
+            ("equirect", None) => Ok(Self::Equirect),
+            ("cubemap", None) => Ok(Self::Cubemap),
+            ("eac", None) => Ok(Self::Eac),
+            ("dual-fisheye", None) => Ok(Self::DualFisheye { fov_deg: DEFAULT_FISHEYE_DEG }),
+            ("dual-fisheye", Some(degrees)) => match degrees.parse() {
+                Ok(fov_deg) if fov_deg > 0.0 && fov_deg < 360.0 => Ok(Self::DualFisheye { fov_deg }),
+                _ => Err(format!("{degrees:?} is not a field of view in degrees, more than 0 and less than 360")),
+            },
+            _ => Err(format!("{text:?} is not a projection; use equirect, cubemap, eac or dual-fisheye[:DEGREES]")),
+        }
+    }
+}
+
+impl TryFrom<String> for Projection {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        text.parse()
+    }
 }
 
 /// What the user states; it overrules metadata.

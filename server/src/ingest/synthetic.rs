@@ -13,12 +13,13 @@ use super::layout::{Layout, Projection, check_size};
 use super::pictures::video_info;
 use super::queue::Queue;
 use super::shared::{Shared, count};
+use crate::plaza::{Plaza, PlazaConfig};
 use super::testcard::TestCard;
 use super::{IngestEvent, VideoCodec};
 use crate::frame::{Frame, Pixels};
 
 /// Names that [`open`] knows.
-const KNOWN: &str = "testcard";
+const KNOWN: &str = "plaza, testcard";
 /// Rendered pictures that may wait for light.
 const FRAMES_WAITING: usize = 8;
 
@@ -82,7 +83,46 @@ pub fn open(parameters: &Parameters) -> Result<Box<dyn FrameSource>, IngestError
 
 /// The source that the user names after `synthetic:`.
 pub(super) fn parse(text: &str) -> Result<Box<dyn FrameSource>, IngestError> {
+    let (name, query) = text.split_once('?').unwrap_or((text, ""));
+    if name == "plaza" {
+        return plaza(query);
+    }
     open(&Parameters::parse(text)?)
+}
+
+/// Rendering the place takes seconds at large sizes, so each tenth of it is logged.
+fn plaza(query: &str) -> Result<Box<dyn FrameSource>, IngestError> {
+    let bad = |error: crate::plaza::PlazaError| IngestError::BadSynthetic { name: "plaza".to_owned(), detail: error.to_string() };
+    let config = PlazaConfig::from_query(query).map_err(bad)?;
+    let mut tenths = 0;
+    let progress = |done: f32| {
+        let now = (done * 10.0) as u32;
+        if now > tenths {
+            tenths = now;
+            tracing::info!("rendering the plaza: {} %", now * 10);
+        }
+    };
+    Ok(Box::new(Plaza::new(config, progress).map_err(bad)?))
+}
+
+impl FrameSource for Plaza {
+    fn info(&self) -> (u32, u32, f64) {
+        let config = self.config();
+        (config.width, config.height, config.fps)
+    }
+
+    fn frame(&mut self, index: u64, out: &mut frame::Video) {
+        let [y_stride, u_stride, v_stride] = [0, 1, 2].map(|plane| out.stride(plane));
+        let (luma, chroma_height) = (out.height() as usize, out.height() as usize / 2);
+        let mut planes = [vec![0; y_stride * luma], vec![0; u_stride * chroma_height], vec![0; v_stride * chroma_height]];
+        let [y, u, v] = &mut planes;
+        self.yuv420(index, y, y_stride, u, u_stride, v, v_stride);
+        for (plane, samples) in planes.iter().enumerate() {
+            let target = out.data_mut(plane);
+            let length = target.len().min(samples.len());
+            target[..length].copy_from_slice(&samples[..length]);
+        }
+    }
 }
 
 /// Renders one picture.

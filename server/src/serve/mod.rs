@@ -1,0 +1,124 @@
+//! `mr360-server serve`: hosts a live broadcast.
+
+mod args;
+mod doors;
+mod path;
+
+pub use args::ServeArgs;
+
+use std::time::Duration;
+
+use anyhow::Context;
+use mr360_protocol::scene::Scene;
+use mr360_protocol::scene_file::SceneFile;
+use mr360_protocol::transport;
+
+use crate::broadcast::{Assets, Broadcast};
+use crate::ingest::{self, IngestHandle, ServerClock};
+use crate::lighting;
+use crate::session;
+use crate::stats::Stats;
+use args::Settings;
+use path::DataPath;
+
+/// How often the end of the source is looked for.
+const POLL: Duration = Duration::from_millis(50);
+
+/// Why the server ended.
+#[derive(Debug)]
+pub enum Failure {
+    /// Wrong settings, or an input that cannot be served: nothing was broadcast.
+    Input(anyhow::Error),
+    /// The broadcast broke off.
+    Running(anyhow::Error),
+}
+
+/// Hosts until the source is over or the process is asked to stop.
+///
+/// # Errors
+/// [`Failure::Input`] for wrong settings, an input that cannot be served, or an address that cannot be listened on;
+/// [`Failure::Running`] when the source fails for good later.
+pub async fn run(args: ServeArgs) -> Result<(), Failure> {
+    let on_air = start(args).await.map_err(Failure::Input)?;
+    on_air.run().await.map_err(Failure::Running)
+}
+
+/// A broadcast under way.
+struct OnAir {
+    ingest: IngestHandle,
+    broadcast: Broadcast,
+    session: tokio::task::JoinHandle<()>,
+    stats: Stats,
+}
+
+/// Builds the data path from its end to its source, then opens the doors.
+async fn start(args: ServeArgs) -> anyhow::Result<OnAir> {
+    let settings = args.settle()?;
+    let clock = ServerClock::start();
+    let stats = match &settings.stats {
+        Some(file) => Stats::new(Some(file)).with_context(|| format!("--stats {}: cannot be written", file.display()))?,
+        None => Stats::new(None)?,
+    };
+    let (scene, assets) = load_scene(&settings)?;
+
+    let origin = transport::origin();
+    let method = lighting::method(&settings.method)?;
+    let mut broadcast = Broadcast::create(&origin, &settings.room, method.name())?;
+    broadcast.publish_assets(&assets)?;
+    let session = tokio::spawn(session::run(scene, broadcast.scene()?, origin.consume(), settings.room.clone()));
+
+    let path = DataPath::new(broadcast.media(), broadcast.light()?, method, stats.clone(), clock);
+    let config = settings.ingest.clone();
+    let ingest = tokio::task::spawn_blocking(move || ingest::spawn(config, clock, path)).await??;
+    doors::open(&settings, &origin)?;
+    Ok(OnAir { ingest, broadcast, session, stats })
+}
+
+impl OnAir {
+    async fn run(self) -> anyhow::Result<()> {
+        let Self { ingest, broadcast, session, stats } = self;
+        tokio::select! {
+            () = asked_to_stop() => tracing::info!("asked to stop"),
+            () = finished(&ingest) => tracing::info!("the source is over"),
+        }
+        ingest.stop();
+        let counters = ingest.counters();
+        let end = tokio::task::spawn_blocking(move || ingest.join()).await?;
+        session.abort();
+        drop(broadcast);
+        eprintln!("{}", stats.summary(counters));
+        Ok(end?)
+    }
+}
+
+/// The scene of `--scene` with its models read in, or an empty one.
+fn load_scene(settings: &Settings) -> anyhow::Result<(Scene, Assets)> {
+    let mut assets = Assets::default();
+    let scene = match &settings.scene {
+        Some(file) => SceneFile::load(file)?.resolve(|model| assets.add(model))?,
+        None => Scene::default(),
+    };
+    Ok((scene, assets))
+}
+
+async fn finished(ingest: &IngestHandle) {
+    let mut poll = tokio::time::interval(POLL);
+    while !ingest.is_finished() {
+        poll.tick().await;
+    }
+}
+
+/// Ctrl-C, or a service manager's request.
+async fn asked_to_stop() {
+    let interrupt = tokio::signal::ctrl_c();
+    #[cfg(unix)]
+    if let Ok(mut terminate) = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate()) {
+        tokio::select! {
+            _ = interrupt => {}
+            _ = terminate.recv() => {}
+        }
+        return;
+    }
+    // A handler that cannot be installed leaves the system's own: the process then simply ends.
+    let _ = interrupt.await;
+}
