@@ -203,7 +203,7 @@ impl Renderer<'_> {
         let reached = facing * look.direct > 0.0
             && (leafy || n.dot(sun) > 0.0)
             && !world.place.shadowed(p, if leafy { look.normal } else { n }, towards_disc(&world.sky, index));
-        let fresnel = look.mirror * (0.05 + 0.95 * (1.0 + ray.direction.dot(look.normal)).clamp(0.0, 1.0).powi(5));
+        let fresnel = look.mirror * (0.09 + 0.91 * (1.0 + ray.direction.dot(look.normal)).clamp(0.0, 1.0).powi(5));
         let matt = look.albedo * ((1.0 - fresnel) / PI);
         let mut sample = Sample {
             ambient: light.sky * matt * look.ambient,
