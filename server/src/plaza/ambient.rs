@@ -11,6 +11,7 @@ use super::geometry::Ray;
 use super::noise::unit3;
 use super::place::{Contact, Material, Place};
 use super::sky::Sky;
+use super::surface::PAVING;
 
 const STRATA: [u32; 2] = [4, 9];
 const TABLE: [usize; 2] = [96, 24];
@@ -80,7 +81,7 @@ impl World {
     /// Radiance that a matt version of a surface sends back: sky part and sun part.
     pub(super) fn simple(&self, ray: &Ray, contact: &Contact) -> Ambient {
         let albedo = match self.place.material(contact.primitive) {
-            Material::Paving => Vec3::new(0.385, 0.352, 0.312),
+            Material::Paving => PAVING,
             Material::Plain(colour) | Material::Tiles(colour) => colour,
             Material::Foliage { colour, .. } => colour * 0.7,
             Material::Water => Vec3::new(0.08, 0.12, 0.12),

@@ -196,6 +196,3 @@ impl Plaza {
 
 /// Pixels of a 2×2 block from its corner.
 const BLOCK: [[usize; 2]; 4] = [[0, 0], [1, 0], [0, 1], [1, 1]];
-
-#[cfg(test)]
-mod look;

@@ -53,6 +53,7 @@ impl Place {
         let mut build = Builder { shapes: Vec::new(), materials: Vec::new(), names: Vec::new() };
         town(&mut build);
         skyline(&mut build, seed);
+        hills(&mut build, seed);
         furniture(&mut build);
         for (at, size) in
             [(Vec3::new(10.2, GROUND_Y, -12.0), 1.0), (Vec3::new(-11.5, GROUND_Y, -7.5), 0.9), (Vec3::new(9.0, GROUND_Y, 11.5), 1.1)]
@@ -232,12 +233,12 @@ fn awnings(b: &mut Builder) {
 
 /// Roofs in the distance.
 fn skyline(b: &mut Builder, seed: u32) {
-    for i in 0..26i32 {
+    for i in 0..34i32 {
         let random = |k| unit3(i, k, seed as i32);
-        let angle = (i as f32 + 0.6 * random(0)) / 26.0 * std::f32::consts::TAU;
+        let angle = (i as f32 + 0.6 * random(0)) / 34.0 * std::f32::consts::TAU;
         let distance = 62.0 + 40.0 * random(1);
         let centre = Vec3::new(angle.sin() * distance, 0.0, -angle.cos() * distance);
-        let (half_x, half_z, height) = (5.0 + 4.0 * random(2), 5.0 + 4.0 * random(3), 7.0 + 6.0 * random(4));
+        let (half_x, half_z, height) = (5.0 + 4.5 * random(2), 5.0 + 4.5 * random(3), 6.5 + 7.5 * random(4));
         let wall = Vec3::new(0.62, 0.52, 0.40).lerp(Vec3::new(0.60, 0.42, 0.33), random(5));
         let facade = Facade { wall, ..Facade::default() };
         let (x, z) = ([centre.x - half_x, centre.x + half_x], [centre.z - half_z, centre.z + half_z]);
@@ -245,6 +246,18 @@ fn skyline(b: &mut Builder, seed: u32) {
         let eaves = GROUND_Y + height;
         let shape = roof(Vec3::new(x[0] - 0.4, eaves, z[0] - 0.4), Vec3::new(x[1] + 0.4, eaves, z[1] + 0.4), 2.6, random(6).round());
         b.add("distant roof", Material::Tiles(TERRACOTTA.lerp(SLATE, 0.6 * random(7))), shape);
+    }
+}
+
+/// Round wooded hills beyond the town.
+fn hills(b: &mut Builder, seed: u32) {
+    for i in 0..14i32 {
+        let random = |k| unit3(i, k + 20, seed as i32);
+        let (sin, cos) = ((i as f32 + 0.7 * random(0)) / 14.0 * std::f32::consts::TAU).sin_cos();
+        let (distance, radius, rise) = (420.0 + 160.0 * random(1), 260.0 + 120.0 * random(2), 16.0 + 26.0 * random(3));
+        let centre = Vec3::new(sin * distance, GROUND_Y + rise - radius, -cos * distance);
+        let wood = Vec3::new(0.10, 0.13, 0.05).lerp(Vec3::new(0.17, 0.16, 0.08), random(4));
+        b.add("hill", Material::Plain(wood), Shape::Sphere { centre, radius });
     }
 }
 
