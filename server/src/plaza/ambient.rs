@@ -78,6 +78,11 @@ impl World {
         Ambient { sky: self.sky.up_irradiance * (0.72 * up + 0.25 * down), bounce: ground * (0.62 * down + around * 0.22) }
     }
 
+    /// Ambient light on small parts that no gathered point speaks for: mostly ledges, whose undersides see walls.
+    pub(super) fn sheltered(&self, normal: Vec3) -> Ambient {
+        self.open(normal).scaled(0.78 + 0.28 * normal.y.min(0.0))
+    }
+
     /// Radiance that a matt version of a surface sends back: sky part and sun part.
     pub(super) fn simple(&self, ray: &Ray, contact: &Contact) -> Ambient {
         let albedo = match self.place.material(contact.primitive) {

@@ -86,6 +86,13 @@ impl Place {
     }
 }
 
+/// A house's roof; flat where it does not rise.
+struct Roof {
+    rise: f32,
+    hip: f32,
+    tiles: Vec3,
+}
+
 struct Builder {
     shapes: Vec<Shape>,
     materials: Vec<Material>,
@@ -106,7 +113,7 @@ impl Builder {
     }
 
     /// A house with plinth, string course, cornice and roof.
-    fn house(&mut self, facade: Facade, x: [f32; 2], z: [f32; 2], height: f32, roof_rise: f32, hip: f32, tiles: Vec3) {
+    fn house(&mut self, facade: Facade, x: [f32; 2], z: [f32; 2], height: f32, top: Roof) {
         let grown = |r: [f32; 2], by: f32| [r[0] - by, r[1] + by];
         let trim = Material::Plain(facade.trim);
         self.block("building", Material::Facade(facade), x, [0.0, height], z);
@@ -115,10 +122,14 @@ impl Builder {
         self.block("string course", trim, grown(x, 0.12), [course - 0.18, course + 0.06], grown(z, 0.12));
         self.block("cornice", trim, grown(x, 0.22), [height - 0.40, height - 0.18], grown(z, 0.22));
         self.block("cornice", trim, grown(x, 0.45), [height - 0.18, height + 0.08], grown(z, 0.45));
-        if roof_rise > 0.0 {
+        if top.rise > 0.0 {
             let (x, z) = (grown(x, 0.5), grown(z, 0.5));
             let eaves = GROUND_Y + height + 0.08;
-            self.add("roof", Material::Tiles(tiles), roof(Vec3::new(x[0], eaves, z[0]), Vec3::new(x[1], eaves, z[1]), roof_rise, hip));
+            self.add(
+                "roof",
+                Material::Tiles(top.tiles),
+                roof(Vec3::new(x[0], eaves, z[0]), Vec3::new(x[1], eaves, z[1]), top.rise, top.hip),
+            );
         } else {
             let edge = Material::Plain(facade.wall * 0.9);
             self.block("parapet", edge, [x[0], x[1]], [height + 0.08, height + 0.85], [z[0], z[0] + 0.3]);
@@ -144,16 +155,16 @@ fn town(b: &mut Builder) {
     let rose = Facade { wall: Vec3::new(0.63, 0.40, 0.33), shutters: Some(Vec3::new(0.24, 0.16, 0.10)), ..base };
     let white = Facade { wall: Vec3::new(0.64, 0.61, 0.54), shutters: Some(Vec3::new(0.12, 0.20, 0.33)), shop: true, ..base };
 
-    b.house(hall, [-13.0, 5.0], [-37.0, -27.0], 12.8, 3.2, 1.0, SLATE);
+    b.house(hall, [-13.0, 5.0], [-37.0, -27.0], 12.8, Roof { rise: 3.2, hip: 1.0, tiles: SLATE });
     arcade(b, -13.0, 5.0, -27.0);
     clock_tower(b);
-    b.house(salmon, [13.5, 25.0], [-35.0, -20.0], 12.0, 3.4, 1.0, TERRACOTTA);
-    b.house(yellow, [17.5, 28.0], [-15.5, 1.0], 10.2, 0.0, 0.0, TERRACOTTA);
-    b.house(white, [18.5, 30.0], [1.0, 14.0], 12.6, 3.0, 0.0, TERRACOTTA * 0.9);
-    b.house(grey, [6.0, 20.0], [21.0, 33.0], 13.4, 0.0, 0.0, SLATE);
-    b.house(brick, [-13.0, 1.0], [22.5, 33.0], 9.6, 4.2, 0.0, SLATE);
-    b.house(rose, [-31.0, -19.5], [-27.0, -11.0], 9.0, 3.0, 1.0, TERRACOTTA);
-    b.house(white, [-33.0, -22.0], [11.0, 27.0], 8.8, 2.8, 1.0, TERRACOTTA);
+    b.house(salmon, [13.5, 25.0], [-35.0, -20.0], 12.0, Roof { rise: 3.4, hip: 1.0, tiles: TERRACOTTA });
+    b.house(yellow, [17.5, 28.0], [-15.5, 1.0], 10.2, Roof { rise: 0.0, hip: 0.0, tiles: TERRACOTTA });
+    b.house(white, [18.5, 30.0], [1.0, 14.0], 12.6, Roof { rise: 3.0, hip: 0.0, tiles: TERRACOTTA * 0.9 });
+    b.house(grey, [6.0, 20.0], [21.0, 33.0], 13.4, Roof { rise: 0.0, hip: 0.0, tiles: SLATE });
+    b.house(brick, [-13.0, 1.0], [22.5, 33.0], 9.6, Roof { rise: 4.2, hip: 0.0, tiles: SLATE });
+    b.house(rose, [-31.0, -19.5], [-27.0, -11.0], 9.0, Roof { rise: 3.0, hip: 1.0, tiles: TERRACOTTA });
+    b.house(white, [-33.0, -22.0], [11.0, 27.0], 8.8, Roof { rise: 2.8, hip: 1.0, tiles: TERRACOTTA });
     awnings(b);
 }
 

@@ -196,7 +196,7 @@ impl Renderer<'_> {
         let look = surface(&world.place, ray, contact, sun, pixel_rad, self.seed);
         let leafy = matches!(material, Material::Foliage { .. });
         let gathered = if leafy { None } else { self.grid.at(uv, p, n, contact.t) };
-        let light = gathered.unwrap_or_else(|| world.open(if leafy { look.normal } else { n }));
+        let light = gathered.unwrap_or_else(|| if leafy { world.open(look.normal) } else { world.sheltered(n) });
         let facing = look.normal.dot(sun);
         // Leaves let some light through.
         let facing = if leafy { facing.max(0.0) * 0.85 + 0.22 } else { facing.max(0.0) };
