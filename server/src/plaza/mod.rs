@@ -65,7 +65,7 @@ struct Moment {
 }
 
 impl Plaza {
-    /// Renders the place on all cores; about two seconds on two cores at 1280×640. `progress` is called on this
+    /// Renders the place on all cores; two to four seconds on two cores at 1280×640. `progress` is called on this
     /// thread with values that rise from 0 to 1.
     ///
     /// # Errors
