@@ -11,6 +11,7 @@ use super::geometry::Ray;
 use super::noise::unit3;
 use super::place::{Contact, Material, Place};
 use super::sky::Sky;
+use super::surface::PAVING;
 
 const STRATA: [u32; 2] = [4, 9];
 const TABLE: [usize; 2] = [96, 24];
@@ -77,10 +78,15 @@ impl World {
         Ambient { sky: self.sky.up_irradiance * (0.72 * up + 0.25 * down), bounce: ground * (0.62 * down + around * 0.22) }
     }
 
+    /// Ambient light on small parts that no gathered point speaks for: mostly ledges, whose undersides see walls.
+    pub(super) fn sheltered(&self, normal: Vec3) -> Ambient {
+        self.open(normal).scaled(0.78 + 0.28 * normal.y.min(0.0))
+    }
+
     /// Radiance that a matt version of a surface sends back: sky part and sun part.
     pub(super) fn simple(&self, ray: &Ray, contact: &Contact) -> Ambient {
         let albedo = match self.place.material(contact.primitive) {
-            Material::Paving => Vec3::new(0.385, 0.352, 0.312),
+            Material::Paving => PAVING,
             Material::Plain(colour) | Material::Tiles(colour) => colour,
             Material::Foliage { colour, .. } => colour * 0.7,
             Material::Water => Vec3::new(0.08, 0.12, 0.12),

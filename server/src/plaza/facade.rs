@@ -195,7 +195,12 @@ impl Facade {
         let [column, row] = opening.cell;
         let curtain = unit3(column, row, wall.wall_id + 77);
         let drawn = curtain > 0.55 && deep.x.abs() > opening.half * (1.3 - curtain);
-        let albedo = if drawn { Vec3::new(0.30, 0.28, 0.24) } else { Vec3::new(0.020, 0.024, 0.028) };
+        let goods = 0.06 + 0.10 * unit3((deep.x * 2.5).floor() as i32, (deep.y * 2.0).floor() as i32, column + wall.wall_id);
+        let albedo = match (drawn, self.shop && row == 0) {
+            (_, true) => Vec3::new(1.0, 0.75, 0.5) * goods,
+            (true, false) => Vec3::new(0.30, 0.28, 0.24),
+            (false, false) => Vec3::new(0.020, 0.024, 0.028),
+        };
         let tilt = |k| (unit3(column * 2 + i32::from(deep.x > 0.0), row, wall.wall_id + k) - 0.5) * 0.035;
         let normal = Vec3::new(tilt(1), tilt(2), 1.0).normalize();
         Surface { albedo, normal, direct: direct * 0.8, ambient: ambient * 0.7, mirror: 1.0 }

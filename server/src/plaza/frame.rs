@@ -116,6 +116,10 @@ impl Painter<'_> {
             let (_, direction) = sample_direction(still.width, still.height, column, row, 0);
             (direction * texel.distance, texel.normal())
         });
+        let mark = self.culled(column, row, mark, plane);
+        if mark == 0 {
+            return None;
+        }
         let (mut sum, mut bodies, mut shadows) = (Vec3::ZERO, 0u16, 0u16);
         let mut sunlit = None;
         for sample in 0..SAMPLES {
@@ -131,6 +135,27 @@ impl Painter<'_> {
             }
         }
         (bodies | shadows != 0).then(|| Touched { pixel, radiance: sum / SAMPLES as f32, bodies, shadows })
+    }
+
+    /// The bits of a mark that remain when the pixel's first ray, as wide as the pixel, is tried on the movers' bounds.
+    fn culled(&self, column: u32, row: u32, mark: u32, plane: Option<(Vec3, Vec3)>) -> u32 {
+        let pixel_rad = PI / self.still.height as f32;
+        let (_, direction) = sample_direction(self.still.width, self.still.height, column, row, 0);
+        let ray = Ray { origin: Vec3::ZERO, direction };
+        let mut kept = 0;
+        for figure in self.figures {
+            if mark >> figure.id & 1 != 0 && figure.near(&ray, pixel_rad * (figure.position.length() + 1.0)) {
+                kept |= 1 << figure.id;
+            }
+            let bit = 1 << (figure.id + SHADOW_SHIFT);
+            let Some((p, normal)) = plane.filter(|_| mark & bit != 0) else { continue };
+            // The pixel's reach on the surface, long where that is seen edge on.
+            let margin = pixel_rad * p.length() / normal.dot(direction).abs().max(0.02) + 0.02;
+            if figure.darkens(p, margin) || figure.near(&Ray { origin: p, direction: self.suns[0] }, margin) {
+                kept |= bit;
+            }
+        }
+        kept
     }
 
     fn nearest(&self, ray: &Ray, mark: u32, limit: f32) -> Option<(u32, BodyHit)> {

@@ -65,7 +65,7 @@ struct Moment {
 }
 
 impl Plaza {
-    /// Renders the place on all cores; about two seconds on two cores at 1280×640. `progress` is called on this
+    /// Renders the place on all cores; two to four seconds on two cores at 1280×640. `progress` is called on this
     /// thread with values that rise from 0 to 1.
     ///
     /// # Errors
@@ -196,6 +196,3 @@ impl Plaza {
 
 /// Pixels of a 2×2 block from its corner.
 const BLOCK: [[usize; 2]; 4] = [[0, 0], [1, 0], [0, 1], [1, 1]];
-
-#[cfg(test)]
-mod look;

@@ -213,17 +213,22 @@ impl Figure {
         reach(self.bounds.0).max(reach(self.bounds.1))
     }
 
-    /// Whether a ray comes near at all.
-    fn near(&self, ray: &Ray) -> bool {
+    /// Whether a ray meets the body's bounds grown by `margin`.
+    pub(super) fn near(&self, ray: &Ray, margin: f32) -> bool {
         let inverse = ray.direction.recip();
-        let (t0, t1) = ((self.bounds.0 - ray.origin) * inverse, (self.bounds.1 - ray.origin) * inverse);
+        let (t0, t1) = ((self.bounds.0 - margin - ray.origin) * inverse, (self.bounds.1 + margin - ray.origin) * inverse);
         let far = t0.max(t1).min_element();
         far >= 0.0 && t0.min(t1).max_element() <= far
     }
 
+    /// Whether a point is near enough to lose ambient light to the body.
+    pub(super) fn darkens(&self, p: Vec3, margin: f32) -> bool {
+        (p - self.position).length() < CONTACT_REACH + margin
+    }
+
     /// Nearest point of the body along a ray, closer than `limit`.
     pub(super) fn hit(&self, ray: &Ray, limit: f32) -> Option<BodyHit> {
-        if !self.near(ray) {
+        if !self.near(ray, 0.0) {
             return None;
         }
         let mut best: Option<(f32, &Part)> = None;
@@ -239,7 +244,7 @@ impl Figure {
 
     /// Whether the body stands in a ray's way.
     pub(super) fn blocks(&self, ray: &Ray) -> bool {
-        self.near(ray) && self.parts.iter().any(|part| capsule_distance(ray, part.a, part.b, part.radius).is_some())
+        self.near(ray, 0.0) && self.parts.iter().any(|part| capsule_distance(ray, part.a, part.b, part.radius).is_some())
     }
 
     /// Spheres that hold the body.
@@ -264,6 +269,9 @@ impl Figure {
 
     /// Share of the ambient light that the body leaves a surface: a sphere at the feet and one at the trunk.
     pub(super) fn openness(&self, p: Vec3, normal: Vec3) -> f32 {
+        if !self.darkens(p, 0.0) {
+            return 1.0;
+        }
         let mut open = 1.0;
         let fade = 1.0 - ((p - self.position).length() / CONTACT_REACH).min(1.0);
         for (up, radius, weight) in [(0.14, 0.24, 0.9), (0.85, 0.32, 0.9)] {

@@ -53,6 +53,7 @@ impl Place {
         let mut build = Builder { shapes: Vec::new(), materials: Vec::new(), names: Vec::new() };
         town(&mut build);
         skyline(&mut build, seed);
+        hills(&mut build, seed);
         furniture(&mut build);
         for (at, size) in
             [(Vec3::new(10.2, GROUND_Y, -12.0), 1.0), (Vec3::new(-11.5, GROUND_Y, -7.5), 0.9), (Vec3::new(9.0, GROUND_Y, 11.5), 1.1)]
@@ -85,6 +86,13 @@ impl Place {
     }
 }
 
+/// A house's roof; flat where it does not rise.
+struct Roof {
+    rise: f32,
+    hip: f32,
+    tiles: Vec3,
+}
+
 struct Builder {
     shapes: Vec<Shape>,
     materials: Vec<Material>,
@@ -105,7 +113,7 @@ impl Builder {
     }
 
     /// A house with plinth, string course, cornice and roof.
-    fn house(&mut self, facade: Facade, x: [f32; 2], z: [f32; 2], height: f32, roof_rise: f32, hip: f32, tiles: Vec3) {
+    fn house(&mut self, facade: Facade, x: [f32; 2], z: [f32; 2], height: f32, top: Roof) {
         let grown = |r: [f32; 2], by: f32| [r[0] - by, r[1] + by];
         let trim = Material::Plain(facade.trim);
         self.block("building", Material::Facade(facade), x, [0.0, height], z);
@@ -114,10 +122,14 @@ impl Builder {
         self.block("string course", trim, grown(x, 0.12), [course - 0.18, course + 0.06], grown(z, 0.12));
         self.block("cornice", trim, grown(x, 0.22), [height - 0.40, height - 0.18], grown(z, 0.22));
         self.block("cornice", trim, grown(x, 0.45), [height - 0.18, height + 0.08], grown(z, 0.45));
-        if roof_rise > 0.0 {
+        if top.rise > 0.0 {
             let (x, z) = (grown(x, 0.5), grown(z, 0.5));
             let eaves = GROUND_Y + height + 0.08;
-            self.add("roof", Material::Tiles(tiles), roof(Vec3::new(x[0], eaves, z[0]), Vec3::new(x[1], eaves, z[1]), roof_rise, hip));
+            self.add(
+                "roof",
+                Material::Tiles(top.tiles),
+                roof(Vec3::new(x[0], eaves, z[0]), Vec3::new(x[1], eaves, z[1]), top.rise, top.hip),
+            );
         } else {
             let edge = Material::Plain(facade.wall * 0.9);
             self.block("parapet", edge, [x[0], x[1]], [height + 0.08, height + 0.85], [z[0], z[0] + 0.3]);
@@ -137,22 +149,22 @@ fn town(b: &mut Builder) {
     let hall =
         Facade { wall: Vec3::new(0.66, 0.55, 0.38), ground_floor: 4.6, floor: 4.0, bay: 2.5, window: [1.15, 2.3], arched: true, ..base };
     let salmon = Facade { wall: Vec3::new(0.60, 0.30, 0.20), shutters: Some(Vec3::new(0.10, 0.21, 0.17)), shop: true, ..base };
-    let yellow = Facade { wall: Vec3::new(0.68, 0.49, 0.20), shutters: Some(Vec3::new(0.14, 0.22, 0.30)), shop: true, bay: 2.7, ..base };
+    let yellow = Facade { wall: Vec3::new(0.60, 0.42, 0.16), shutters: Some(Vec3::new(0.14, 0.22, 0.30)), shop: true, bay: 2.7, ..base };
     let grey = Facade { wall: Vec3::new(0.42, 0.44, 0.46), bay: 2.4, window: [1.3, 2.0], floor: 3.3, ..base };
     let brick = Facade { wall: Vec3::new(0.36, 0.15, 0.10), brick: true, window: [1.2, 1.8], ..base };
     let rose = Facade { wall: Vec3::new(0.63, 0.40, 0.33), shutters: Some(Vec3::new(0.24, 0.16, 0.10)), ..base };
-    let white = Facade { wall: Vec3::new(0.72, 0.69, 0.62), shutters: Some(Vec3::new(0.12, 0.20, 0.33)), shop: true, ..base };
+    let white = Facade { wall: Vec3::new(0.64, 0.61, 0.54), shutters: Some(Vec3::new(0.12, 0.20, 0.33)), shop: true, ..base };
 
-    b.house(hall, [-13.0, 5.0], [-37.0, -27.0], 12.8, 3.2, 1.0, SLATE);
+    b.house(hall, [-13.0, 5.0], [-37.0, -27.0], 12.8, Roof { rise: 3.2, hip: 1.0, tiles: SLATE });
     arcade(b, -13.0, 5.0, -27.0);
     clock_tower(b);
-    b.house(salmon, [13.5, 25.0], [-35.0, -20.0], 12.0, 3.4, 1.0, TERRACOTTA);
-    b.house(yellow, [17.5, 28.0], [-15.5, 1.0], 10.2, 0.0, 0.0, TERRACOTTA);
-    b.house(white, [18.5, 30.0], [1.0, 14.0], 12.6, 3.0, 0.0, TERRACOTTA * 0.9);
-    b.house(grey, [6.0, 20.0], [21.0, 33.0], 13.4, 0.0, 0.0, SLATE);
-    b.house(brick, [-13.0, 1.0], [22.5, 33.0], 9.6, 4.2, 0.0, SLATE);
-    b.house(rose, [-31.0, -19.5], [-27.0, -11.0], 9.0, 3.0, 1.0, TERRACOTTA);
-    b.house(white, [-33.0, -22.0], [11.0, 27.0], 8.8, 2.8, 1.0, TERRACOTTA);
+    b.house(salmon, [13.5, 25.0], [-35.0, -20.0], 12.0, Roof { rise: 3.4, hip: 1.0, tiles: TERRACOTTA });
+    b.house(yellow, [17.5, 28.0], [-15.5, 1.0], 10.2, Roof { rise: 0.0, hip: 0.0, tiles: TERRACOTTA });
+    b.house(white, [18.5, 30.0], [1.0, 14.0], 12.6, Roof { rise: 3.0, hip: 0.0, tiles: TERRACOTTA * 0.9 });
+    b.house(grey, [6.0, 20.0], [21.0, 33.0], 13.4, Roof { rise: 0.0, hip: 0.0, tiles: SLATE });
+    b.house(brick, [-13.0, 1.0], [22.5, 33.0], 9.6, Roof { rise: 4.2, hip: 0.0, tiles: SLATE });
+    b.house(rose, [-31.0, -19.5], [-27.0, -11.0], 9.0, Roof { rise: 3.0, hip: 1.0, tiles: TERRACOTTA });
+    b.house(white, [-33.0, -22.0], [11.0, 27.0], 8.8, Roof { rise: 2.8, hip: 1.0, tiles: TERRACOTTA });
     awnings(b);
 }
 
@@ -232,12 +244,12 @@ fn awnings(b: &mut Builder) {
 
 /// Roofs in the distance.
 fn skyline(b: &mut Builder, seed: u32) {
-    for i in 0..26i32 {
+    for i in 0..34i32 {
         let random = |k| unit3(i, k, seed as i32);
-        let angle = (i as f32 + 0.6 * random(0)) / 26.0 * std::f32::consts::TAU;
+        let angle = (i as f32 + 0.6 * random(0)) / 34.0 * std::f32::consts::TAU;
         let distance = 62.0 + 40.0 * random(1);
         let centre = Vec3::new(angle.sin() * distance, 0.0, -angle.cos() * distance);
-        let (half_x, half_z, height) = (5.0 + 4.0 * random(2), 5.0 + 4.0 * random(3), 7.0 + 6.0 * random(4));
+        let (half_x, half_z, height) = (5.0 + 4.5 * random(2), 5.0 + 4.5 * random(3), 6.5 + 7.5 * random(4));
         let wall = Vec3::new(0.62, 0.52, 0.40).lerp(Vec3::new(0.60, 0.42, 0.33), random(5));
         let facade = Facade { wall, ..Facade::default() };
         let (x, z) = ([centre.x - half_x, centre.x + half_x], [centre.z - half_z, centre.z + half_z]);
@@ -245,6 +257,18 @@ fn skyline(b: &mut Builder, seed: u32) {
         let eaves = GROUND_Y + height;
         let shape = roof(Vec3::new(x[0] - 0.4, eaves, z[0] - 0.4), Vec3::new(x[1] + 0.4, eaves, z[1] + 0.4), 2.6, random(6).round());
         b.add("distant roof", Material::Tiles(TERRACOTTA.lerp(SLATE, 0.6 * random(7))), shape);
+    }
+}
+
+/// Round wooded hills beyond the town.
+fn hills(b: &mut Builder, seed: u32) {
+    for i in 0..14i32 {
+        let random = |k| unit3(i, k + 20, seed as i32);
+        let (sin, cos) = ((i as f32 + 0.7 * random(0)) / 14.0 * std::f32::consts::TAU).sin_cos();
+        let (distance, radius, rise) = (420.0 + 160.0 * random(1), 260.0 + 120.0 * random(2), 16.0 + 26.0 * random(3));
+        let centre = Vec3::new(sin * distance, GROUND_Y + rise - radius, -cos * distance);
+        let wood = Vec3::new(0.10, 0.13, 0.05).lerp(Vec3::new(0.17, 0.16, 0.08), random(4));
+        b.add("hill", Material::Plain(wood), Shape::Sphere { centre, radius });
     }
 }
 
@@ -256,12 +280,35 @@ fn furniture(b: &mut Builder) {
     for (x, z) in [(4.4f32, -13.2f32), (-8.4, -11.2)] {
         bench(b, x, z);
     }
+    for x in [-10.8f32, -8.6, 0.8, 2.9] {
+        planter(b, Vec3::new(x, GROUND_Y, -21.6));
+    }
+    for (x, z) in [(7.4f32, -16.6f32), (14.9, -9.6), (14.9, 0.2), (-16.0, -6.0)] {
+        planter(b, Vec3::new(x, GROUND_Y, z));
+    }
     for i in 0..8u32 {
         let at = Vec3::new(11.4, GROUND_Y, -24.0 + 2.0 * i as f32);
         if i != 6 {
             b.add("bollard", Material::Plain(Vec3::splat(0.10)), Shape::Cylinder { base: at, radius: 0.09, height: 0.8 });
             b.add("bollard", Material::Plain(Vec3::splat(0.13)), Shape::Sphere { centre: at + Vec3::Y * 0.85, radius: 0.12 });
         }
+    }
+}
+
+/// A stone trough with flowers.
+fn planter(b: &mut Builder, at: Vec3) {
+    let around = |half: f32, c: f32| [c - half, c + half];
+    b.block("planter", Material::Plain(STONE * 0.92), around(0.62, at.x), [0.0, 0.52], around(0.38, at.z));
+    b.block("planter", Material::Plain(STONE * 1.05), around(0.67, at.x), [0.46, 0.56], around(0.43, at.z));
+    let crown = at + Vec3::Y * 0.45;
+    let key = (at.x * 8.0 + at.z * 64.0) as i32;
+    for i in 0..46i32 {
+        let random = |k| unit3(i, k, key);
+        let centre = at + Vec3::new(1.1 * random(0) - 0.55, 0.55 + 0.22 * random(1), 0.62 * random(2) - 0.31);
+        let leaf = Vec3::new(0.09, 0.16, 0.04);
+        let bloom = [Vec3::new(0.55, 0.05, 0.08), Vec3::new(0.62, 0.30, 0.05), Vec3::new(0.60, 0.52, 0.55)][(key & 0xFF) as usize % 3];
+        let colour = if random(3) < 0.42 { bloom } else { leaf };
+        b.add("flowers", Material::Foliage { colour, crown, radius: 0.4 }, Shape::Sphere { centre, radius: 0.06 + 0.05 * random(4) });
     }
 }
 
@@ -316,6 +363,9 @@ fn bench(b: &mut Builder, x: f32, z: f32) {
     }
 }
 
+/// Leaf clumps of a crown.
+const CLUMPS: i32 = 300;
+
 /// A trunk, a kerb and a crown of leaf clumps.
 fn tree(b: &mut Builder, at: Vec3, size: f32, seed: u32) {
     let bark = Material::Plain(Vec3::new(0.16, 0.11, 0.07));
@@ -330,16 +380,16 @@ fn tree(b: &mut Builder, at: Vec3, size: f32, seed: u32) {
         b.add("branch", bark, Shape::Capsule { a: at + Vec3::Y * 2.5 * size, b: tip, radius: 0.07 * size });
     }
     let radius = 1.75 * size;
-    for i in 0..110i32 {
+    for i in 0..CLUMPS {
         let random = |k| unit3(i, k + key, seed as i32);
         // Evenly spread over the sphere (golden angle), at random depths near the surface.
-        let y = 1.0 - 2.0 * (i as f32 + 0.5) / 110.0;
+        let y = 1.0 - 2.0 * (i as f32 + 0.5) / CLUMPS as f32;
         let (sin, cos) = (i as f32 * 2.399_963).sin_cos();
         let level = (1.0 - y * y).sqrt();
-        let depth = radius * (0.62 + 0.45 * random(0));
+        let depth = radius * (0.58 + 0.50 * random(0));
         let centre = crown + Vec3::new(level * cos * 1.08, y * 0.86, level * sin * 1.08) * depth;
         let colour = Vec3::new(0.10, 0.17, 0.035).lerp(Vec3::new(0.19, 0.24, 0.05), random(1));
-        let clump = Shape::Sphere { centre, radius: size * (0.26 + 0.22 * random(2)) };
+        let clump = Shape::Sphere { centre, radius: size * (0.13 + 0.17 * random(2)) };
         b.add("leaves", Material::Foliage { colour, crown, radius }, clump);
     }
 }

@@ -17,7 +17,9 @@ const TURBIDITY: f32 = 2.6;
 /// Illuminance of the sun above the atmosphere, klx.
 const EXTRATERRESTRIAL_KLX: f32 = 128.0;
 /// The zenith formula overrates clear skies against measured ones, about 1 : 4 to the sun on level ground.
-const SKY_SHARE: f32 = 0.6;
+const SKY_SHARE: f32 = 0.7;
+/// Takes out the violet that the chromaticity fit has at low turbidity.
+const SKY_TINT: Vec3 = Vec3::new(0.80, 1.0, 1.02);
 /// Share of the sun's light that is scattered into the aureole, and the angle over which that falls by e.
 const AUREOLE_SHARE: f32 = 0.03;
 const AUREOLE_RAD: f32 = 0.032;
@@ -126,7 +128,7 @@ impl Sky {
         let gamma = direction.dot(self.sun).clamp(-1.0, 1.0).acos();
         let [luminance, x, y] = self.perez.map(|channel| channel.at(cos_zenith, gamma));
         let xyz = Vec3::new(x / y, 1.0, (1.0 - x - y) / y) * luminance;
-        (BT709_FROM_XYZ * xyz).max(Vec3::ZERO) * self.exposure
+        (BT709_FROM_XYZ * xyz).max(Vec3::ZERO) * SKY_TINT * self.exposure
     }
 
     /// How much cloud covers a direction, and how bright that is.

@@ -196,14 +196,14 @@ impl Renderer<'_> {
         let look = surface(&world.place, ray, contact, sun, pixel_rad, self.seed);
         let leafy = matches!(material, Material::Foliage { .. });
         let gathered = if leafy { None } else { self.grid.at(uv, p, n, contact.t) };
-        let light = gathered.unwrap_or_else(|| world.open(if leafy { look.normal } else { n }));
+        let light = gathered.unwrap_or_else(|| if leafy { world.open(look.normal) } else { world.sheltered(n) });
         let facing = look.normal.dot(sun);
         // Leaves let some light through.
         let facing = if leafy { facing.max(0.0) * 0.85 + 0.22 } else { facing.max(0.0) };
         let reached = facing * look.direct > 0.0
             && (leafy || n.dot(sun) > 0.0)
             && !world.place.shadowed(p, if leafy { look.normal } else { n }, towards_disc(&world.sky, index));
-        let fresnel = look.mirror * (0.05 + 0.95 * (1.0 + ray.direction.dot(look.normal)).clamp(0.0, 1.0).powi(5));
+        let fresnel = look.mirror * (0.09 + 0.91 * (1.0 + ray.direction.dot(look.normal)).clamp(0.0, 1.0).powi(5));
         let matt = look.albedo * ((1.0 - fresnel) / PI);
         let mut sample = Sample {
             ambient: light.sky * matt * look.ambient,

@@ -69,9 +69,13 @@ pub(super) fn surface(place: &Place, ray: &Ray, contact: &Contact, sun: Vec3, pi
     }
 }
 
+/// Colour of the slabs.
+pub(super) const PAVING: Vec3 = Vec3::new(0.395, 0.350, 0.298);
+
 fn weathered(p: Vec3, colour: Vec3, footprint: f32) -> Vec3 {
     let fine = (value3(p * 9.0, 11) - 0.5) * (1.0 - footprint / 0.1).clamp(0.0, 1.0);
-    colour * (1.0 + 0.16 * (value3(p * 1.3, 12) - 0.5) + 0.10 * fine)
+    let coarse = (value3(p * 1.3, 12) - 0.5) * (1.0 - footprint / 0.7).clamp(0.0, 1.0);
+    colour * (1.0 + 0.16 * coarse + 0.10 * fine)
 }
 
 fn tiles(p: Vec3, n: Vec3, colour: Vec3, footprint: f32) -> Vec3 {
@@ -88,10 +92,10 @@ fn foliage(p: Vec3, n: Vec3, colour: Vec3, crown: Vec3, radius: f32, footprint: 
     let fade = (1.0 - footprint / 0.16).clamp(0.0, 1.0);
     let leaf = Vec3::new(value3(p * 13.0, 31), value3(p * 13.0, 32), value3(p * 13.0, 33)) - 0.5;
     let out = (p - crown) / radius;
-    let normal = (n * 0.55 + out * 0.6 + leaf * 1.7 * fade).normalize_or(n);
+    let normal = (n * 0.30 + out * 0.55 + leaf * 1.9 * fade).normalize_or(n);
     // Deep and low in the crown it is dark.
     let open = smoothstep(0.45, 1.15, out.length()) * (0.62 + 0.38 * out.y.clamp(-1.0, 1.0));
-    let speckle = 1.0 + 0.7 * fade * (value3(p * 17.0, 34) - 0.5);
+    let speckle = 1.0 + 1.1 * fade * (value3(p * 17.0, 34) - 0.5);
     Surface { albedo: colour * speckle, normal, direct: 1.0, ambient: 0.18 + 0.82 * open, mirror: 0.0 }
 }
 
@@ -151,7 +155,7 @@ fn paving(p: Vec3, distance: f32, pixel_rad: f32, seed: i32) -> Vec3 {
     let key = |salt| unit3(slab.x.floor() as i32, slab.y.floor() as i32, seed + salt) - 0.5;
     let joint = groove(slab.x, 0.016 / size.x, footprint.x / size.x).max(groove(slab.y, 0.016 / size.y, footprint.y / size.y));
 
-    let granite = Vec3::new(0.385, 0.352, 0.312);
+    let granite = PAVING;
     let mut albedo = granite.lerp(Vec3::new(0.50, 0.47, 0.42), band);
     albedo *= Vec3::ONE + (Vec3::splat(0.26 * key(1)) + Vec3::new(0.06, 0.0, -0.08) * key(2)) * visible(1.6) * (1.0 - band);
     albedo *= 1.0 + 0.22 * (fbm2(flat * 0.22, 4, seed + 50) - 0.47) + 0.20 * (fbm2(flat * 1.1, 3, seed + 55) - 0.44) * visible(1.5);

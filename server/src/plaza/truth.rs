@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::frame::Touched;
 use super::geometry::Shape;
 use super::movers::Figure;
-use super::place::{GROUND_Y, Place};
+use super::place::{GROUND_Y, Material, Place};
 use super::still::Still;
 
 /// The truth about one frame. Directions, metres and linear BT.709 as everywhere; display white is 1.
@@ -30,7 +30,7 @@ pub struct PlazaTruth {
     pub ground: GroundTruth,
     /// The people.
     pub movers: Vec<MoverTruth>,
-    /// Everything that stands still.
+    /// Everything that stands still; a crown of leaves is one sphere.
     pub geometry: Vec<GeometryTruth>,
 }
 
@@ -109,7 +109,7 @@ pub struct GeometryTruth {
 }
 
 /// Mean albedo of the paving.
-const GROUND_ALBEDO: [f32; 3] = [0.37, 0.34, 0.30];
+const GROUND_ALBEDO: [f32; 3] = [0.38, 0.34, 0.29];
 /// Distance that walkers and things keep from the camera.
 const FREE_RADIUS: f32 = 6.0;
 
@@ -188,9 +188,10 @@ pub(super) fn ground() -> GroundTruth {
     GroundTruth { y: GROUND_Y, albedo: GROUND_ALBEDO, free_radius: FREE_RADIUS }
 }
 
-/// Every primitive.
+/// Every primitive; the clumps of a crown are one `foliage` sphere.
 pub(super) fn geometry(place: &Place) -> Vec<GeometryTruth> {
-    let describe = |(shape, name): (&Shape, &&'static str)| {
+    let mut list: Vec<GeometryTruth> = Vec::new();
+    for (i, (shape, name)) in place.shapes.iter().zip(&place.names).enumerate() {
         let (min, max) = shape.bounds();
         let kind = match shape {
             Shape::Box { .. } => "box",
@@ -199,9 +200,18 @@ pub(super) fn geometry(place: &Place) -> Vec<GeometryTruth> {
             Shape::Cylinder { .. } => "cylinder",
             Shape::Convex { .. } => "convex",
         };
-        GeometryTruth { name, kind, position: ((min + max) * 0.5).to_array(), size: (max - min).to_array() }
-    };
-    place.shapes.iter().zip(&place.names).map(describe).collect()
+        let one = match place.material(i as u32) {
+            Material::Foliage { crown, radius, .. } => {
+                GeometryTruth { name: "foliage", kind: "sphere", position: crown.to_array(), size: [radius * 2.0; 3] }
+            }
+            _ => GeometryTruth { name, kind, position: ((min + max) * 0.5).to_array(), size: (max - min).to_array() },
+        };
+        // Clumps of one crown follow each other.
+        if list.last() != Some(&one) {
+            list.push(one);
+        }
+    }
+    list
 }
 
 /// A walker's truth.
