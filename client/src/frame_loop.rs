@@ -2,8 +2,8 @@
 //!
 //! Nothing in here waits for network, decoder or GPU; a [`Presenter`] decides what presenting means.
 
-use std::sync::mpsc::{Receiver, RecvTimeoutError, TryRecvError};
 use std::sync::Arc;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, TryRecvError};
 use std::time::Duration;
 
 use glam::{Vec2, Vec3};
@@ -289,7 +289,7 @@ impl FrameLoop {
         let now = self.clock.now();
         let paired = self.playout.poll(now);
         if let Some(audio) = &self.inputs.audio {
-            audio.set(self.playout.presentation_offset_us(now));
+            audio.set(self.playout.presentation_offset_us());
         }
         let Some(paired) = paired else { return Ok(false) };
         stage.update(&paired)?;

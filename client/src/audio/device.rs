@@ -39,7 +39,9 @@ impl Output {
             SampleFormat::I32 => build::<i32>(&device, config, feed, told),
             SampleFormat::U16 => build::<u16>(&device, config, feed, told),
             SampleFormat::U8 => build::<u8>(&device, config, feed, told),
-            other => Err(cpal::Error::with_message(cpal::ErrorKind::UnsupportedConfig, format!("its sample format {other} is not supported"))),
+            other => {
+                Err(cpal::Error::with_message(cpal::ErrorKind::UnsupportedConfig, format!("its sample format {other} is not supported")))
+            }
         }?;
         stream.play()?;
         let name = device.description().map_or_else(|_| "unnamed".to_owned(), |description| description.to_string());
@@ -92,7 +94,9 @@ fn build<T: SizedSample + FromSample<f32>>(
     lost: Arc<AtomicBool>,
 ) -> Result<cpal::Stream, cpal::Error> {
     let on_error = move |error: cpal::Error| match error.kind() {
-        cpal::ErrorKind::Xrun | cpal::ErrorKind::DeviceChanged | cpal::ErrorKind::RealtimeDenied => tracing::debug!("audio device: {error}"),
+        cpal::ErrorKind::Xrun | cpal::ErrorKind::DeviceChanged | cpal::ErrorKind::RealtimeDenied => {
+            tracing::debug!("audio device: {error}")
+        }
         _ => {
             if !lost.swap(true, Ordering::Relaxed) {
                 tracing::warn!("audio device lost: {error}; the session goes on silently");

@@ -69,7 +69,10 @@ fn nearest_planar(format: Pixel) -> Pixel {
 
 /// What decoders and GPUs deliver in RGB.
 fn is_rgb(format: Pixel) -> bool {
-    matches!(format, Pixel::GBRP | Pixel::GBRP10LE | Pixel::GBRP12LE | Pixel::RGB24 | Pixel::BGR24 | Pixel::RGBA | Pixel::BGRA | Pixel::BGRZ)
+    matches!(
+        format,
+        Pixel::GBRP | Pixel::GBRP10LE | Pixel::GBRP12LE | Pixel::RGB24 | Pixel::BGR24 | Pixel::RGBA | Pixel::BGRA | Pixel::BGRZ
+    )
 }
 
 /// More than 8 bits a sample; FFmpeg's names say so.

@@ -104,7 +104,8 @@ fn frame_loop(count: u64, csv: Option<&std::path::Path>) -> (FrameLoop, std::thr
     let (pictures, taken): (SyncSender<Decoded>, Receiver<Decoded>) = sync_channel(1);
     let (lights, arrivals) = channel();
     for index in 0..count {
-        let light = LightFrame { pts_us: index * 10_000, published_us: 0, lift: Default::default(), sh: vec![Vec3::ONE; SH9], lights: vec![] };
+        let light =
+            LightFrame { pts_us: index * 10_000, published_us: 0, lift: Default::default(), sh: vec![Vec3::ONE; SH9], lights: vec![] };
         lights.send(Arrival::Light(ReceivedLight { light, arrived: clock.now() })).unwrap();
     }
     let feeder = std::thread::spawn(move || {

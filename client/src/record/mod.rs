@@ -247,7 +247,10 @@ mod tests {
         // The fourth has the time of the third and is left out.
         assert_eq!(mp4.finish().unwrap(), 4);
         let frames = read(&path);
-        assert_eq!(frames.iter().map(|f| (f.0, f.2, f.3)).collect::<Vec<_>>(), [(0, 34, 18), (33_333, 34, 18), (50_001, 34, 18), (200_000, 34, 18)]);
+        assert_eq!(
+            frames.iter().map(|f| (f.0, f.2, f.3)).collect::<Vec<_>>(),
+            [(0, 34, 18), (33_333, 34, 18), (50_001, 34, 18), (200_000, 34, 18)]
+        );
         // Grey g becomes 16 + 219 g/255; x264 stays within two codes on flat frames.
         for (frame, grey) in frames.iter().zip([0.0, 40.0, 80.0, 160.0]) {
             assert!((f32::from(frame.1) - (16.0 + 219.0 * grey / 255.0)).abs() <= 2.5, "{frame:?}");

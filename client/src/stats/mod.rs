@@ -260,7 +260,10 @@ impl fmt::Display for Summary {
             stats.skipped
         )?;
         let [units, pictures, errors, unanchored, backlog] = stats.decode;
-        writeln!(f, "decoder: {units} units, {pictures} pictures, {errors} errors, {unanchored} before a keyframe, {backlog} dropped by backlog")?;
+        writeln!(
+            f,
+            "decoder: {units} units, {pictures} pictures, {errors} errors, {unanchored} before a keyframe, {backlog} dropped by backlog"
+        )?;
         for (track, (frames, bytes)) in &stats.tracks {
             writeln!(f, "track {track}: {frames} frames, {bytes} bytes")?;
         }

@@ -35,7 +35,11 @@ enum Drag {
     /// The panorama follows the pointer.
     Look,
     /// An object follows the pointer on the ground; `offset` is its position less the ground point it was grabbed at.
-    Object { id: ObjectId, offset: Vec3, height: f32 },
+    Object {
+        id: ObjectId,
+        offset: Vec3,
+        height: f32,
+    },
 }
 
 /// Where the user looks, and what the pointer holds.

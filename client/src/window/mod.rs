@@ -197,7 +197,8 @@ impl<S: Stage> App<'_, S> {
             (self.act)(action);
         }
         let done = self.frames.frames() - self.first_frame;
-        let over = self.options.frames.is_some_and(|most| done >= most) || self.options.duration.is_some_and(|most| self.begin.elapsed() >= most);
+        let over =
+            self.options.frames.is_some_and(|most| done >= most) || self.options.duration.is_some_and(|most| self.begin.elapsed() >= most);
         if over || self.options.stop.load(Ordering::Relaxed) {
             return Ok(true);
         }

@@ -57,7 +57,10 @@ impl Presenter for SurfacePresenter {
             }
             Current::Lost => return Err(FrameError::DeviceLost { detail: "the window's surface is gone".to_owned() }),
             Current::Validation => {
-                return Err(FrameError::Failed { action: "acquiring the window's next image", source: "the GPU's validation refused it".into() });
+                return Err(FrameError::Failed {
+                    action: "acquiring the window's next image",
+                    source: "the GPU's validation refused it".into(),
+                });
             }
         };
         let view = texture.texture.create_view(&wgpu::TextureViewDescriptor::default());
