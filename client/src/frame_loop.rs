@@ -204,6 +204,9 @@ impl FrameLoop {
             Redraw::Always => true,
         };
         let presented = wanted && self.on_stage.is_some() && self.show(stage, presenter, camera)?;
+        if new_picture && wanted && !presented {
+            self.stats.skipped();
+        }
         Ok(Turn { presented, ended: self.ended && self.playout.next_deadline(self.clock.now()).is_none() })
     }
 
@@ -289,7 +292,7 @@ impl FrameLoop {
         let now = self.clock.now();
         let paired = self.playout.poll(now);
         if let Some(audio) = &self.inputs.audio {
-            audio.set(self.playout.presentation_offset_us(now));
+            audio.set(self.playout.presentation_offset_us());
         }
         let Some(paired) = paired else { return Ok(false) };
         stage.update(&paired)?;
@@ -307,11 +310,8 @@ impl FrameLoop {
     }
 
     fn show(&mut self, stage: &mut impl Stage, presenter: &mut impl Presenter, camera: &Camera) -> Result<bool, FrameError> {
-        let Some(target) = presenter.acquire()? else {
-            self.stats.skipped();
-            return Ok(false);
-        };
         let Some(on_stage) = self.on_stage.as_mut() else { return Ok(false) };
+        let Some(target) = presenter.acquire()? else { return Ok(false) };
         let begun = self.clock.now();
         let passes = stage.draw(camera, &target)?;
         let rendered = self.clock.now();

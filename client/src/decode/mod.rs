@@ -191,6 +191,12 @@ impl VideoDecoder {
             return Err(DecodeError::UnitTooLarge { bytes: unit.data.len() });
         }
         DecodeCounters::add(&self.counters.units);
+        // To FFmpeg an empty packet means the end of the stream.
+        if unit.data.is_empty() {
+            DecodeCounters::add(&self.counters.errors);
+            self.waits_for_keyframe = true;
+            return Ok(());
+        }
         if self.waits_for_keyframe && !unit.keyframe {
             DecodeCounters::add(&self.counters.unanchored);
             return Ok(());

@@ -69,13 +69,14 @@ impl Worker {
     }
 
     fn decode(&mut self, input: &Input) -> Result<(), NobodyListens> {
-        if self.decoder.as_ref().is_none_or(|(_, format)| *format != input.format) {
-            self.drain()?;
-            self.reopen(input.format);
-        }
-        if self.waits_for_keyframe && !input.unit.keyframe {
+        let fits = self.decoder.as_ref().is_some_and(|(_, format)| *format == input.format);
+        if (self.waits_for_keyframe || !fits) && !input.unit.keyframe {
             DecodeCounters::add(&self.counters.unanchored);
             return Ok(());
+        }
+        if !fits {
+            self.drain()?;
+            self.reopen(input.format);
         }
         let Some((opened, _)) = self.decoder.as_mut() else {
             DecodeCounters::add(&self.counters.errors);

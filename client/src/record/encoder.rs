@@ -10,6 +10,8 @@ use super::{MAX_SIDE, RecordError, yuv};
 
 /// Times are kept to the microsecond.
 const TIME_BASE: Rational = Rational(1, 1_000_000);
+/// Frames a second at most, in the main.
+const NOMINAL_RATE: Rational = Rational(60, 1);
 /// Frames from one keyframe, and so from one fragment, to the next.
 const GOP_FRAMES: u32 = 30;
 
@@ -23,6 +25,8 @@ pub(super) struct Mp4 {
     height: usize,
     first_us: Option<u64>,
     last_pts: i64,
+    /// Time from the frame before the last to the last, microseconds: the guess for how long the last one stays.
+    step_us: i64,
     frames: u64,
 }
 
@@ -42,7 +46,18 @@ impl Mp4 {
         output.write_header_with(options).map_err(|e| failed("writing the header", e))?;
         let stream_time_base = output.stream(0).map_or(TIME_BASE, |stream| stream.time_base());
         let (width, height) = (width as usize, height as usize);
-        Ok(Self { path: name, output, encoder, stream_time_base, width, height, first_us: None, last_pts: -1, frames: 0 })
+        Ok(Self {
+            path: name,
+            output,
+            encoder,
+            stream_time_base,
+            width,
+            height,
+            first_us: None,
+            last_pts: -1,
+            step_us: 1_000_000 / 30,
+            frames: 0,
+        })
     }
 
     /// Takes RGBA8 of the size given at the start. Frames that do not come after the one before are left out.
@@ -53,6 +68,9 @@ impl Mp4 {
         let mut frame = ffmpeg::frame::Video::new(Pixel::YUV420P, self.encoder.width(), self.encoder.height());
         yuv::fill(&mut frame, rgba, self.width, self.height);
         frame.set_pts(Some(pts));
+        if self.last_pts >= 0 {
+            self.step_us = pts - self.last_pts;
+        }
         self.last_pts = pts;
         self.encoder.send_frame(&frame).map_err(|e| failure(&self.path, "encoding", e))?;
         self.write_packets()?;
@@ -72,6 +90,7 @@ impl Mp4 {
         let mut packet = ffmpeg::Packet::empty();
         while self.encoder.receive_packet(&mut packet).is_ok() {
             packet.set_stream(0);
+            packet.set_duration(self.step_us);
             packet.rescale_ts(TIME_BASE, self.stream_time_base);
             packet.write_interleaved(&mut self.output).map_err(|e| failure(&self.path, "writing", e))?;
         }
@@ -90,6 +109,8 @@ fn open_encoder(width: u32, height: u32, path: &str) -> Result<ffmpeg::encoder::
     encoder.set_height(height);
     encoder.set_format(Pixel::YUV420P);
     encoder.set_time_base(TIME_BASE);
+    // Frames come when they come; this is what H.264's level is reckoned from.
+    encoder.set_frame_rate(Some(NOMINAL_RATE));
     encoder.set_gop(GOP_FRAMES);
     encoder.set_max_b_frames(0);
     encoder.set_colorspace(ffmpeg::color::Space::BT709);

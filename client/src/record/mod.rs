@@ -167,6 +167,16 @@ impl Recorder {
     }
 }
 
+impl Drop for Recorder {
+    /// Leaves a whole file behind when the session ends by an error; what went wrong is in the log by then.
+    fn drop(&mut self) {
+        self.frames = None;
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
 fn encode(mut mp4: Mp4, queue: &Receiver<RgbaFrame>, give_back: &SyncSender<Vec<u8>>) -> Result<u64, RecordError> {
     let result = (|| {
         for frame in queue {

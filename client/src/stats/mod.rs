@@ -117,7 +117,7 @@ impl Stats {
         }
     }
 
-    /// Counts a frame that the display had no room for.
+    /// Counts a picture that had no target to be drawn to when it was due.
     pub fn skipped(&mut self) {
         self.skipped += 1;
     }

@@ -3,6 +3,7 @@
 //! A protocol without I/O: time is an argument. Pictures and lights are pushed as they arrive, [`Playout::poll`]
 //! hands out the newest pair that is due, and [`Playout::next_deadline`] says when to ask again.
 
+mod baseline;
 mod clock;
 mod delay;
 mod lights;
@@ -11,13 +12,14 @@ mod tests;
 
 use std::collections::VecDeque;
 
-use mr360_protocol::clock::{ClientTime, ClockOffset, ServerTime};
+use mr360_protocol::clock::ClientTime;
 use mr360_protocol::light::LightFrame;
 
 pub use self::clock::ClientClock;
 pub use self::delay::{MAX_DELAY_US, MIN_DELAY_US};
 pub use self::lights::MAX_LIGHTS;
 
+use self::baseline::Baseline;
 use self::delay::PlayoutDelay;
 use self::lights::Lights;
 use crate::decode::Decoded;
@@ -31,7 +33,7 @@ const LIGHT_GRACE_US: u64 = 20_000;
 const LIGHT_SILENCE_US: u64 = 1_000_000;
 /// A pts this far behind the newest one starts a new broadcast; reordering never reaches so far, microseconds.
 const JUMP_BACK_US: u64 = 2_000_000;
-/// When every picture has come later than the longest delay for this long, the source has paused and the mapping moves, microseconds.
+/// When every picture has come later than the longest delay for this long, the source has paused and the baseline moves, microseconds.
 const REANCHOR_AFTER_US: u64 = 1_000_000;
 
 /// A LightFrame and when it arrived.
@@ -96,8 +98,7 @@ struct LateRun {
 /// The playout buffer.
 #[derive(Default)]
 pub struct Playout {
-    /// Relates pts to client time: a pts runs like the server's clock and an access unit departs at its pts.
-    mapping: ClockOffset,
+    baseline: Baseline,
     delay: PlayoutDelay,
     /// In order of pts.
     pictures: VecDeque<Waiting>,
@@ -105,7 +106,8 @@ pub struct Playout {
     newest_pts_us: Option<u64>,
     last_shown_us: Option<u64>,
     late_run: Option<LateRun>,
-    last_light: Option<ClientTime>,
+    /// The first picture since the last light came.
+    lightless_since: Option<ClientTime>,
     silent: bool,
     epoch: u64,
     drops: Drops,
@@ -133,8 +135,8 @@ impl Playout {
         }
         self.observe_picture(&decoded);
         self.newest_pts_us = self.newest_pts_us.max(Some(pts_us));
-        // Silence is counted from the first picture on, not from the start of the program.
-        self.last_light.get_or_insert(now);
+        // While no pictures come, missing lights mean nothing.
+        self.lightless_since.get_or_insert(now);
         if self.last_shown_us.is_some_and(|shown| pts_us <= shown) {
             if self.last_shown_us == Some(pts_us) {
                 self.drops.duplicate += 1;
@@ -156,12 +158,13 @@ impl Playout {
     /// Takes in a light.
     pub fn push_light(&mut self, received: ReceivedLight) {
         let pts_us = received.light.pts_us;
-        self.last_light = self.last_light.max(Some(received.arrived));
+        self.lightless_since = None;
         if self.silent {
             self.silent = false;
             tracing::info!("the light track is back");
         }
-        if let Some(expected) = self.expected(pts_us, received.arrived) {
+        // While everything is late the baseline is in doubt, not the light.
+        if let Some(expected) = self.baseline.expected(pts_us).filter(|_| self.late_run.is_none()) {
             self.delay.observe_light(received.arrived.0.saturating_sub(expected.0), received.arrived);
         }
         if self.last_shown_us.is_some_and(|shown| pts_us <= shown) {
@@ -176,7 +179,7 @@ impl Playout {
     pub fn poll(&mut self, now: ClientTime) -> Option<Paired> {
         self.watch_light(now);
         let silent = self.silent;
-        let ready = |waiting: &Waiting| self.due(waiting, now) <= now && (silent || self.lights.contains(waiting.pts_us()));
+        let ready = |waiting: &Waiting| self.due(waiting) <= now && (silent || self.lights.contains(waiting.pts_us()));
         let Some(at) = self.pictures.iter().rposition(ready) else {
             self.drop_expired(now);
             return None;
@@ -202,20 +205,17 @@ impl Playout {
         self.pictures
             .iter()
             .map(|waiting| {
-                let due = self.due(waiting, now);
+                let due = self.due(waiting);
                 let known = self.silent || self.lights.contains(waiting.pts_us());
-                if known || due > now { due } else { self.light_deadline(waiting, now) }
+                if known || due > now { due } else { self.light_deadline(waiting) }
             })
             .min()
     }
 
     /// Client time minus pts at which pictures are presented, microseconds; `None` before the first picture. For the audio.
     #[must_use]
-    pub fn presentation_offset_us(&self, now: ClientTime) -> Option<i64> {
-        let reference = self.newest_pts_us?;
-        let expected = self.expected(reference, now)?;
-        let difference = i64::try_from(expected.0).ok()? - i64::try_from(reference).ok()?;
-        Some(difference.saturating_add_unsigned(self.delay.current_us()))
+    pub fn presentation_offset_us(&self) -> Option<i64> {
+        self.baseline.offset_us().map(|offset| offset.saturating_add_unsigned(self.delay.current_us()))
     }
 
     /// How late pictures are played out on purpose, microseconds.
@@ -249,32 +249,25 @@ impl Playout {
         self.lights = lights;
     }
 
-    /// Client time at which an access unit of this pts arrives when nothing holds it up.
-    fn expected(&self, pts_us: u64, now: ClientTime) -> Option<ClientTime> {
-        self.mapping.client_from_server(ServerTime(pts_us), now)
-    }
-
     fn observe_picture(&mut self, decoded: &Decoded) {
         let pts_us = decoded.picture.pts_us;
         let arrived = decoded.arrived;
-        let expected = self.expected(pts_us, arrived);
-        self.mapping.observe(ServerTime(pts_us), arrived);
-        // Earlier than any before it: a late joiner is catching up with the live edge, which says nothing of jitter.
-        let Some(expected) = expected.filter(|expected| *expected < arrived) else {
-            self.late_run = None;
-            return;
-        };
-        let arrival_excess = arrived.0 - expected.0;
-        if arrival_excess > MAX_DELAY_US {
+        let expected = self.baseline.expected(pts_us);
+        let excess_us = expected.map_or(0, |expected| arrived.0.saturating_sub(expected.0));
+        if excess_us > MAX_DELAY_US {
             self.follow_late_run(pts_us, arrived);
             return;
         }
         self.late_run = None;
-        let ready = decoded.decoded.0.saturating_sub(decoded.held_us).max(arrived.0);
-        self.delay.observe_picture(ready - expected.0, arrived);
+        self.baseline.observe(pts_us, arrived);
+        // Earlier than any before it: a late joiner is catching up with the live edge, which says nothing of jitter.
+        if let Some(expected) = expected.filter(|expected| *expected < arrived) {
+            let ready = decoded.decoded.0.saturating_sub(decoded.held_us).max(arrived.0);
+            self.delay.observe_picture(ready - expected.0, arrived);
+        }
     }
 
-    /// A source that paused and went on where it was stays late for good: after a while the mapping is made anew.
+    /// A source that paused and went on where it was stays late for good: after a while the baseline is set anew.
     fn follow_late_run(&mut self, pts_us: u64, arrived: ClientTime) {
         let run = self.late_run.get_or_insert(LateRun { since: arrived, best: (pts_us, arrived) });
         let (best_pts, best_arrival) = run.best;
@@ -283,25 +276,25 @@ impl Playout {
         }
         if arrived.0.saturating_sub(run.since.0) >= REANCHOR_AFTER_US {
             let (pts, at) = run.best;
-            self.mapping = ClockOffset::default();
-            self.mapping.observe(ServerTime(pts), at);
+            self.baseline = Baseline::default();
+            self.baseline.observe(pts, at);
             self.late_run = None;
             tracing::info!("the source paused; playing on from where it resumed");
         }
     }
 
-    fn due(&self, waiting: &Waiting, now: ClientTime) -> ClientTime {
-        let expected = self.expected(waiting.pts_us(), now).unwrap_or(waiting.decoded.arrived);
+    fn due(&self, waiting: &Waiting) -> ClientTime {
+        let expected = self.baseline.expected(waiting.pts_us()).unwrap_or(waiting.decoded.arrived);
         ClientTime(expected.0.saturating_add(self.delay.current_us()))
     }
 
-    fn light_deadline(&self, waiting: &Waiting, now: ClientTime) -> ClientTime {
-        ClientTime(self.due(waiting, now).max(waiting.pushed).0.saturating_add(LIGHT_GRACE_US))
+    fn light_deadline(&self, waiting: &Waiting) -> ClientTime {
+        ClientTime(self.due(waiting).max(waiting.pushed).0.saturating_add(LIGHT_GRACE_US))
     }
 
     fn drop_expired(&mut self, now: ClientTime) {
         while let Some(oldest) = self.pictures.front() {
-            let waits = self.silent || self.lights.contains(oldest.pts_us()) || now < self.light_deadline(oldest, now);
+            let waits = self.silent || self.lights.contains(oldest.pts_us()) || now < self.light_deadline(oldest);
             if waits {
                 return;
             }
@@ -311,7 +304,7 @@ impl Playout {
     }
 
     fn watch_light(&mut self, now: ClientTime) {
-        let since = self.last_light.unwrap_or(now);
+        let since = self.lightless_since.unwrap_or(now);
         if !self.silent && !self.pictures.is_empty() && now.0.saturating_sub(since.0) > LIGHT_SILENCE_US {
             self.silent = true;
             tracing::warn!("no light for a second while pictures come: showing them without objects until it is back");

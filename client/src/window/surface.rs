@@ -32,7 +32,34 @@ impl SurfacePresenter {
         configuration.present_mode = wgpu::PresentMode::AutoVsync;
         configuration.desired_maximum_frame_latency = 1;
         surface.configure(&device, &configuration);
-        Ok((Self { surface, device, queue, configuration, acquired: None }, stage))
+        let mut presenter = Self { surface, device, queue, configuration, acquired: None };
+        presenter.clear()?;
+        Ok((presenter, stage))
+    }
+
+    /// Black until the first picture: some window systems show what was there before, some show no window at all.
+    fn clear(&mut self) -> Result<(), FrameError> {
+        let Some(target) = self.acquire()? else { return Ok(()) };
+        let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("black window") });
+        drop(encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some("black window"),
+            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                view: &target.view,
+                depth_slice: None,
+                resolve_target: None,
+                ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::BLACK), store: wgpu::StoreOp::Store },
+            })],
+            ..wgpu::RenderPassDescriptor::default()
+        }));
+        self.queue.submit([encoder.finish()]);
+        self.present_acquired();
+        Ok(())
+    }
+
+    fn present_acquired(&mut self) {
+        if let Some(texture) = self.acquired.take() {
+            self.queue.present(texture);
+        }
     }
 
     /// Follows the window; a size of zero (minimised) keeps the old one.
@@ -70,9 +97,7 @@ impl Presenter for SurfacePresenter {
     }
 
     fn present(&mut self, _pts_us: u64, _now: ClientTime) -> Result<(), FrameError> {
-        if let Some(texture) = self.acquired.take() {
-            self.queue.present(texture);
-        }
+        self.present_acquired();
         Ok(())
     }
 }
