@@ -76,9 +76,9 @@ impl<'a> Session<'a> {
         timeline: &'a mut Timeline,
         config: &IngestConfig,
         opened: Opened,
+        stream: Stream,
         look_ahead: Option<String>,
     ) -> Result<Self, IngestError> {
-        let stream = describe(config, &shared.name, &opened)?;
         let video = raw::video_parameters(&stream.parameters);
         let (audio, audio_info) = open_audio(&shared.name, &opened);
         let because = transcode_reason(&stream, &video, &opened, look_ahead);
