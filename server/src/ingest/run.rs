@@ -176,8 +176,8 @@ fn run_once(shared: &Arc<Shared>, config: &IngestConfig, timeline: &mut Timeline
         count(&shared.counters.reconnects);
     }
     tracing::info!(input = shared.name, again, "the source is open");
-    let session = session::describe(config, &shared.name, &opened)
-        .and_then(|stream| Session::start(shared, timeline, config, opened, stream, None));
+    let session =
+        session::describe(config, &shared.name, &opened).and_then(|stream| Session::start(shared, timeline, config, opened, stream, None));
     match session {
         Ok(session) => session.run(false),
         Err(error) => (Err(error), 0),

@@ -28,9 +28,12 @@ fn hevc_and_av1_pass_through() {
     let dir = tempfile::tempdir().unwrap();
     let hevc = "-c:v libx265 -preset ultrafast -pix_fmt yuv420p -x265-params bframes=0:keyint=10:log-level=none";
     let av1 = "-c:v libaom-av1 -cpu-used 8 -usage realtime -g 10 -pix_fmt yuv420p";
-    for (name, codec, arguments) in
-        [("a.mp4", VideoCodec::Hevc, hevc), ("a.ts", VideoCodec::Hevc, hevc), ("b.mp4", VideoCodec::Av1, av1), ("b.mkv", VideoCodec::Av1, av1)]
-    {
+    for (name, codec, arguments) in [
+        ("a.mp4", VideoCodec::Hevc, hevc),
+        ("a.ts", VideoCodec::Hevc, hevc),
+        ("b.mp4", VideoCodec::Av1, av1),
+        ("b.mkv", VideoCodec::Av1, av1),
+    ] {
         let media = make(dir.path(), name, &format!("{} {arguments}", picture(256, 128, 0.7)));
         let (outcome, counters) = Outcome::whole(file(&media));
         outcome.check();
