@@ -124,7 +124,7 @@ fn options(encoding: &Encoding, gop: u32) -> Dictionary<'static> {
     let fastest = u64::from(encoding.width) * u64::from(encoding.height) >= FASTEST_FROM;
     options.set("preset", if fastest || encoding.codec() == VideoCodec::Hevc { "ultrafast" } else { "veryfast" });
     options.set("tune", "zerolatency");
-    options.set("crf", "21");
+    options.set("crf", "23");
     options.set("forced-idr", "1");
     match encoding.codec() {
         VideoCodec::Hevc => {

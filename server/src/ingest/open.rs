@@ -96,6 +96,8 @@ fn options(address: &Address) -> Dictionary<'static> {
     match address.scheme.as_str() {
         "rtmp" | "rtmps" => {
             options.set("rtmp_live", "live");
+            // The frame rate is in the stream's metadata; counting frames for it would cost most of a second.
+            options.set("fpsprobesize", "0");
             if address.listening {
                 options.set("listen", "1");
             }

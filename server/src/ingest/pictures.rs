@@ -198,6 +198,9 @@ impl Worker {
     fn picture(&mut self, mut picture: frame::Video) -> Result<(), IngestError> {
         let Some(pts) = picture.timestamp().or(picture.pts()) else { return Ok(()) };
         picture.set_pts(Some(pts));
+        if picture.is_corrupt() || picture.has_decode_errors() {
+            count(&self.shared.counters.corrupt_packets);
+        }
         let decoded = self.shared.clock.now();
         self.check_format(&picture)?;
         let tags = Tags::of_frame(&picture);

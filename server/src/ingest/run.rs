@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use super::clock::ServerClock;
 use super::error::IngestError;
 use super::open::{self, Opened};
+use super::pictures::Stream;
 use super::session::{self, End, Session};
 use super::shared::{Counters, Shared, count};
 use super::timeline::Timeline;
@@ -79,7 +80,7 @@ pub fn spawn(config: IngestConfig, clock: ServerClock, sink: impl Sink + 'static
     let thread = std::thread::Builder::new()
         .name("ingest".to_owned())
         .spawn(move || match prepared {
-            Prepared::File(opened, look_ahead) => run_file(&shared, &config, *opened, look_ahead),
+            Prepared::File(file) => run_file(&shared, &config, *file),
             Prepared::Address => {
                 run_address(&shared, &config);
                 Ok(())
@@ -91,9 +92,16 @@ pub fn spawn(config: IngestConfig, clock: ServerClock, sink: impl Sink + 'static
 }
 
 enum Prepared {
-    File(Box<Opened>, Option<String>),
+    File(Box<PreparedFile>),
     Address,
     Synthetic(Box<dyn synthetic::FrameSource>),
+}
+
+struct PreparedFile {
+    opened: Opened,
+    stream: Stream,
+    /// Why the packets cannot pass through, from a look into the file.
+    unsuited: Option<String>,
 }
 
 fn prepare(config: &IngestConfig, name: &str, watch: &Watch) -> Result<Prepared, IngestError> {
@@ -102,18 +110,19 @@ fn prepare(config: &IngestConfig, name: &str, watch: &Watch) -> Result<Prepared,
             let mut scanned = open::open(&config.source, watch)?;
             let stream = session::describe(config, name, &scanned)?;
             decode::VideoDecoder::new(name, &stream.parameters)?;
-            let look_ahead = gop::look_ahead(&mut scanned.input, &scanned.video);
+            let unsuited = gop::look_ahead(&mut scanned.input, &scanned.video);
             // Opening anew is surer than seeking back: not every demuxer finds its start again.
-            Ok(Prepared::File(Box::new(open::open(&config.source, watch)?), look_ahead))
+            let opened = open::open(&config.source, watch)?;
+            Ok(Prepared::File(Box::new(PreparedFile { opened, stream, unsuited })))
         }
         Source::Url(address) => open::check_port(address).map(|()| Prepared::Address),
         Source::Synthetic(text) => synthetic::parse(text).map(Prepared::Synthetic),
     }
 }
 
-fn run_file(shared: &Arc<Shared>, config: &IngestConfig, opened: Opened, look_ahead: Option<String>) -> Result<(), IngestError> {
+fn run_file(shared: &Arc<Shared>, config: &IngestConfig, file: PreparedFile) -> Result<(), IngestError> {
     let mut timeline = Timeline::default();
-    let session = Session::start(shared, &mut timeline, config, opened, look_ahead)?;
+    let session = Session::start(shared, &mut timeline, config, file.opened, file.stream, file.unsuited)?;
     let (result, packets) = session.run(config.looped);
     match result {
         Ok(End::Over) if packets == 0 => {
@@ -167,7 +176,9 @@ fn run_once(shared: &Arc<Shared>, config: &IngestConfig, timeline: &mut Timeline
         count(&shared.counters.reconnects);
     }
     tracing::info!(input = shared.name, again, "the source is open");
-    match Session::start(shared, timeline, config, opened, None) {
+    let session =
+        session::describe(config, &shared.name, &opened).and_then(|stream| Session::start(shared, timeline, config, opened, stream, None));
+    match session {
         Ok(session) => session.run(false),
         Err(error) => (Err(error), 0),
     }

@@ -76,9 +76,9 @@ impl<'a> Session<'a> {
         timeline: &'a mut Timeline,
         config: &IngestConfig,
         opened: Opened,
+        stream: Stream,
         look_ahead: Option<String>,
     ) -> Result<Self, IngestError> {
-        let stream = describe(config, &shared.name, &opened)?;
         let video = raw::video_parameters(&stream.parameters);
         let (audio, audio_info) = open_audio(&shared.name, &opened);
         let because = transcode_reason(&stream, &video, &opened, look_ahead);
@@ -228,27 +228,30 @@ impl<'a> Session<'a> {
 
     fn pass_through(&mut self, mut packet: Packet, pts_us: i64) -> Result<(), IngestError> {
         let ingested = self.shared.clock.now();
-        let pts_us = self.shared.rise_video(pts_us);
-        let stamp = i64::try_from(pts_us).ok();
-        packet.set_pts(stamp);
-        packet.set_dts(stamp);
         let keyframe = packet.is_key();
-        let for_decoder = packet.clone();
+        let mut for_decoder = packet.clone();
         let Some(units) = &mut self.units else { return Ok(()) };
-        match units.convert(&mut packet) {
-            Ok(Some(unit)) => {
-                if let Some(format) = unit.format {
-                    self.check_format(format)?;
-                }
-                self.shared.send_coded(Coded { pts_us: stamp.unwrap_or(0), keyframe, data: unit.data }, ingested);
-            }
-            Ok(None) => {}
+        let unit = match units.convert(&mut packet) {
+            Ok(Some(unit)) => unit,
+            Ok(None) => return Ok(()),
             Err(error) => {
                 count(&self.shared.counters.corrupt_packets);
                 tracing::debug!(input = self.shared.name, %error, "an access unit could not be read");
                 return Ok(());
             }
+        };
+        if let Some(format) = unit.format
+            && let Some(reason) = self.check_format(format)?
+        {
+            let audio = self.audio.as_ref().map(|audio| audio.info.clone());
+            self.transcode(reason, audio)?;
+            self.pictures.push(Job::Packet(for_decoder, ingested));
+            return Ok(());
         }
+        let stamp = i64::try_from(self.shared.rise_video(pts_us)).unwrap_or(i64::MAX);
+        for_decoder.set_pts(Some(stamp));
+        for_decoder.set_dts(Some(stamp));
+        self.shared.send_coded(Coded { pts_us: stamp, keyframe, data: unit.data }, ingested);
         self.decode(for_decoder, keyframe, ingested)
     }
 
@@ -268,19 +271,22 @@ impl<'a> Session<'a> {
         Ok(())
     }
 
-    /// Announces the formats anew where a keyframe's headers differ from the last keyframe's.
-    fn check_format(&mut self, format: (u32, u32, i32)) -> Result<(), IngestError> {
+    /// Announces the formats anew where a keyframe's headers differ from what was announced, or tells why it cannot pass any more.
+    fn check_format(&mut self, format: (u32, u32, i32)) -> Result<Option<String>, IngestError> {
         let announced = self.shared.announced().map(|(video, _)| (video.width, video.height));
         let changed = self.format.replace(format).is_some_and(|known| known != format);
         if !changed && announced == Some((format.0, format.1)) {
-            return Ok(());
+            return Ok(None);
         }
         let video = VideoParameters { width: format.0, height: format.1, ..raw::video_parameters(&self.stream.parameters) };
         self.stream.layout = layout::decide(&self.shared.name, self.stream.flags, &self.stream.spherical, &video)?;
+        if let Some(reason) = too_wide(&self.stream, video.width) {
+            return Ok(Some(reason));
+        }
         if let Some(info) = passthrough_info(&self.stream, &video) {
             self.shared.announce(info, self.audio.as_ref().map(|audio| audio.info.clone()));
         }
-        Ok(())
+        Ok(None)
     }
 
     /// From the next packet on the video is transcoded.
@@ -365,10 +371,12 @@ fn transcode_reason(stream: &Stream, video: &VideoParameters, opened: &Opened, l
     if stream.layout.projection != Projection::Equirect {
         return Some(format!("its projection is {:?}", stream.layout.projection));
     }
-    if let Some(limit) = stream.max_width.filter(|&limit| video.width > limit) {
-        return Some(format!("it is {} pixels wide, at most {limit} are wanted", video.width));
-    }
-    gop::unsuited(&opened.video).or(look_ahead)
+    too_wide(stream, video.width).or_else(|| gop::unsuited(&opened.video)).or(look_ahead)
+}
+
+fn too_wide(stream: &Stream, width: u32) -> Option<String> {
+    let limit = stream.max_width.filter(|&limit| width > limit)?;
+    Some(format!("it is {width} pixels wide, at most {limit} are wanted"))
 }
 
 fn passthrough_info(stream: &Stream, video: &VideoParameters) -> Option<VideoInfo> {

@@ -1,14 +1,15 @@
 //! Whole ingests, on media made by the ffmpeg program.
 
-use std::net::TcpListener;
+mod bad_input;
+mod formats;
+mod live;
+
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::{self, Receiver};
 use std::time::{Duration, Instant};
 
 use mr360_protocol::video::StereoLayout;
 
-use super::test_media::{make, picture, tone};
 use super::*;
 use crate::frame::{Pixels, SUPPORTED_PIXELS};
 
@@ -93,71 +94,4 @@ impl Outcome {
             assert!(unit.pts_us - key <= 2_060_000, "keyframes are close");
         }
     }
-}
-
-#[test]
-fn h264_with_aac_passes_through_and_every_frame_is_decoded() {
-    let dir = tempfile::tempdir().unwrap();
-    let media = format!("{} {} {X264} -g 15 -c:a aac", picture(256, 128, 1.0), tone(1.0));
-    let (outcome, counters) = Outcome::whole(file(&make(dir.path(), "a.mp4", &media)));
-    outcome.check();
-    let (video, audio) = &outcome.started[0];
-    assert_eq!((video.codec, video.width, video.height, video.stereo), (VideoCodec::H264, 256, 128, StereoLayout::Mono));
-    assert_eq!(video.transcoded_because, None);
-    assert!((video.frame_rate - 30.0).abs() < 0.01);
-    let audio = audio.as_ref().unwrap();
-    assert_eq!((audio.codec, audio.sample_rate, &audio.description[..2]), (AudioCodec::Aac, 48_000, &[0x11, 0x88][..]));
-    assert_eq!((outcome.video.len(), outcome.frames.len(), outcome.started.len()), (30, 30, 1));
-    assert_eq!(outcome.video.iter().filter(|unit| unit.keyframe).count(), 2);
-    assert!(outcome.audio.len() > 45);
-    assert_eq!(counters, IngestCounters::default());
-}
-
-/// A port that was free a moment ago.
-fn free_port() -> u16 {
-    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
-}
-
-struct Push(Child);
-
-impl Push {
-    /// Pushes a file in real time, trying until somebody listens.
-    fn start(path: &Path, arguments: &str, url: &str) -> Self {
-        let script = format!(
-            "for i in $(seq 100); do ffmpeg -hide_banner -loglevel quiet -re -i '{}' {arguments} '{url}' </dev/null && exit 0; sleep 0.1; done",
-            path.display()
-        );
-        Self(Command::new("sh").args(["-c", &script]).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap())
-    }
-}
-
-impl Drop for Push {
-    fn drop(&mut self) {
-        drop(self.0.kill());
-        drop(self.0.wait());
-    }
-}
-
-#[test]
-fn a_push_over_rtmp_is_taken_and_the_next_one_too() {
-    let dir = tempfile::tempdir().unwrap();
-    let media = make(dir.path(), "a.mp4", &format!("{} {} {X264} -g 15 -c:a aac", picture(256, 128, 1.5), tone(1.5)));
-    let port = free_port();
-    let source = Source::parse(&format!("rtmp://127.0.0.1:{port}/live/key?listen=1")).unwrap();
-    let (handle, receiver) = start(IngestConfig::new(source));
-    let url = format!("rtmp://127.0.0.1:{port}/live/key");
-    let first = Push::start(&media, "-c copy -f flv", &url);
-    let mut outcome = Outcome::collect(&receiver, |outcome| outcome.interrupted == 1);
-    drop(first);
-    let _second = Push::start(&media, "-c copy -f flv", &url);
-    let again = Outcome::collect(&receiver, |outcome| outcome.video.len() >= 20 && outcome.frames.len() >= 20 && !outcome.audio.is_empty());
-    outcome.check();
-    assert!(outcome.video.len() >= 40 && outcome.audio.len() > 50, "{} {}", outcome.video.len(), outcome.audio.len());
-    assert!(again.started.is_empty(), "the same formats are not announced again");
-    assert_eq!(handle.counters().reconnects, 1);
-    outcome.video.extend(again.video);
-    outcome.frames.extend(again.frames);
-    outcome.check();
-    handle.stop();
-    handle.join().unwrap();
 }
