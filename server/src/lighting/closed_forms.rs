@@ -52,7 +52,10 @@ fn sky(transfer: Transfer, background: Vec3, discs: &[Disc]) -> Frame {
             let Some(disc) = discs.iter().find(near) else { return background.to_array() };
             let points = (0..256).map(|k| direction(i + ((k % 4) as f32 + 0.5) / 4.0, j + ((k / 4) as f32 + 0.5) / 64.0));
             let inside = points.filter(|d| (*d - disc.centre).length() < 2.0 * (disc.radius / 2.0).sin()).count();
-            background.lerp(disc.radiance, inside as f32 / 256.0).to_array()
+            let covered = inside as f32 / 256.0;
+            // Codes on the rim that are averages would be lifted as such: the truth is known for hard rims only.
+            let covered = if transfer == Transfer::Linear { covered } else { covered.round() };
+            background.lerp(disc.radiance, covered).to_array()
         })
         .collect();
     frame(WIDTH, HEIGHT, transfer, texels)
@@ -137,8 +140,7 @@ fn one_clipped_disc_on_black_has_the_lifted_irradiance() {
         assert!(degrees(estimate.lights[0].direction, disc.centre) < 0.5);
         let lifted = Disc { radiance: white, ..disc };
         if boost == 1.0 {
-            // Texels on the rim are averaged as codes and lifted less: 5 % of a disc of seven texels' diameter.
-            assert!(relative(irradiance(&estimate, disc.centre), lifted.irradiance()) < 0.2, "{estimate:?}");
+            assert!(relative(irradiance(&estimate, disc.centre), lifted.irradiance()) < 0.01, "{estimate:?}");
         }
         let plain = self::estimate(&mut Mr360::new(false), &sky(Transfer::Srgb, Vec3::ZERO, &[disc]));
         assert!(relative(estimate.lights[0].irradiance, plain.lights[0].irradiance * boost) < 1e-5);

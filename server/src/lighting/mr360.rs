@@ -18,8 +18,9 @@ use super::sampling::Grid;
 use super::{Estimate, LightError, LightMethod, StepTimes};
 use crate::frame::Frame;
 
-/// Section 6.3: the upper half is 600×150. The lower half is needed for the residual only.
-const SIZE: Grid = Grid { width: 600, height: 300, supersample: 1 };
+/// Section 6.3: the upper half is 600×150. The lower half is needed for the residual only. The tone map is inverted
+/// at twice that resolution, before the resampling.
+const SIZE: Grid = Grid { width: 600, height: 300, supersample: 2 };
 /// Section 4.1: the smallest number of lights that hold this share of all detected irradiance is kept.
 const KEPT_SHARE: f64 = 0.9;
 /// Relative margin over the mean that a threshold needs, so that rounding in an even sky makes no light.

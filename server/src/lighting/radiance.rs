@@ -71,6 +71,11 @@ impl RadianceTable {
         self.key == (effective_lift(lift, colour.transfer), colour)
     }
 
+    /// Whether codes are radiance already.
+    pub(super) fn is_linear(&self) -> bool {
+        self.key.1.transfer == Transfer::Linear
+    }
+
     /// The lift that is applied.
     pub(super) fn lift(&self) -> Lift {
         self.key.0
@@ -97,25 +102,27 @@ impl RadianceTable {
 
     fn decode_plain(&self, planes: &mut Planes) {
         for plane in planes {
-            plane.iter_mut().for_each(|v| *v = self.transfer[entry(unit(*v))]);
+            plane.iter_mut().for_each(|v| *v = self.transfer[entry(unit(*v)) as usize & (ENTRIES - 1)]);
         }
     }
 
     fn decode_lifted(&self, [red, green, blue]: &mut Planes) {
         for ((red, green), blue) in red.chunks_mut(RUN).zip(green.chunks_mut(RUN)).zip(blue.chunks_mut(RUN)) {
             // All arithmetic first, on runs that the compiler can do several texels at a time, then the look-ups.
-            let mut entries = [[0u32; 4]; RUN];
-            for (((entries, r), g), b) in entries.iter_mut().zip(red.iter()).zip(green.iter()).zip(blue.iter()) {
+            let mut entries = [[0u32; RUN]; 4];
+            let [to_r, to_g, to_b, to_factor] = &mut entries;
+            let run = red.iter().zip(green.iter()).zip(blue.iter());
+            for ((((((r, g), b), to_r), to_g), to_b), to_factor) in run.zip(to_r).zip(to_g).zip(to_b).zip(to_factor) {
                 let (r, g, b) = (unit(*r), unit(*g), unit(*b));
                 let luma = r * IORNS_LUMA.x + g * IORNS_LUMA.y + b * IORNS_LUMA.z;
-                *entries = [r, g, b, luma].map(|v| entry(v) as u32);
+                [*to_r, *to_g, *to_b, *to_factor] = [r, g, b, luma].map(entry);
             }
-            for (((entries, r), g), b) in entries.iter().zip(red).zip(green).zip(blue) {
-                let [to_r, to_g, to_b, to_factor] = entries.map(|e| e as usize & (ENTRIES - 1));
-                let factor = self.factor[to_factor];
-                *r = self.transfer[to_r] * factor;
-                *g = self.transfer[to_g] * factor;
-                *b = self.transfer[to_b] * factor;
+            for (i, ((r, g), b)) in red.iter_mut().zip(green).zip(blue).enumerate() {
+                let at = |plane: usize| entries[plane][i & (RUN - 1)] as usize & (ENTRIES - 1);
+                let factor = self.factor[at(3)];
+                *r = self.transfer[at(0)] * factor;
+                *g = self.transfer[at(1)] * factor;
+                *b = self.transfer[at(2)] * factor;
             }
         }
     }
@@ -129,8 +136,8 @@ fn unit(v: f32) -> f32 {
 
 /// Nearest entry for a code in [0, 1]. Adding 2²³ leaves the rounded integer in the low bits of the float, which
 /// costs less than a checked conversion and cannot leave the table.
-fn entry(code: f32) -> usize {
-    (code * (ENTRIES - 1) as f32 + 8_388_608.0).to_bits() as usize & (ENTRIES - 1)
+fn entry(code: f32) -> u32 {
+    (code * (ENTRIES - 1) as f32 + 8_388_608.0).to_bits() & (ENTRIES as u32 - 1)
 }
 
 fn for_each_texel([red, green, blue]: &mut Planes, f: impl Fn(Vec3) -> Vec3) {

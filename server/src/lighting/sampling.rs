@@ -135,7 +135,10 @@ impl<'a> VideoView<'a> {
     }
 }
 
-/// Texels of a panorama and blocks of each in either direction.
+/// Texels in each direction that share one average of the chroma; panoramas have even sizes.
+const CHROMA_TEXELS: u32 = 2;
+
+/// Texels of a panorama, even in number, and blocks of each in either direction.
 #[derive(Clone, Copy)]
 pub(super) struct Grid {
     /// Texels across.
@@ -166,11 +169,12 @@ pub(super) struct VideoSampler {
 impl VideoSampler {
     /// Writes the R'G'B' codes of block row `row` of the grid into `codes`. Rows come in order, from 0 on.
     ///
-    /// Luma is averaged by block, chroma by texel: it is coded at half the resolution, and what is lost by
-    /// averaging before decoding is lost to contrast, which is in the luma.
+    /// Luma is averaged by block, chroma by [`CHROMA_TEXELS`]: it is coded at half the resolution, and what is lost
+    /// by averaging before decoding is lost to contrast, which is in the luma.
     pub(super) fn codes(&mut self, view: &VideoView<'_>, row: u32, grid: Grid, codes: &mut Planes) {
-        if row % grid.supersample == 0 {
-            self.tint_row(view, row / grid.supersample, grid);
+        let blocks = CHROMA_TEXELS * grid.supersample;
+        if row % blocks == 0 {
+            self.tint_row(view, row / blocks, grid);
         }
         let [luma, ..] = &view.planes;
         self.luma_edges.fit(luma.width, grid.width * grid.supersample);
@@ -187,17 +191,17 @@ impl VideoSampler {
     fn tint_row(&mut self, view: &VideoView<'_>, row: u32, grid: Grid) {
         let [_, planes @ ..] = &view.planes;
         for (plane, out) in planes.iter().zip(&mut self.chroma) {
-            self.chroma_edges.fit(plane.width, grid.width);
-            out.resize(grid.width as usize, 0.0);
-            sum_rows(plane, row, grid.height, unit(view.wide), &mut self.sums);
+            self.chroma_edges.fit(plane.width, grid.width / CHROMA_TEXELS);
+            out.resize((grid.width / CHROMA_TEXELS) as usize, 0.0);
+            sum_rows(plane, row, grid.height / CHROMA_TEXELS, unit(view.wide), &mut self.sums);
             across(&self.sums, &mut self.running, &self.chroma_edges, view.code_scale(), out);
         }
         let m = view.rgb_from_yuv;
         let shift = m * -view.offset;
-        let repeat = grid.supersample as usize;
+        let repeat = (CHROMA_TEXELS * grid.supersample) as usize;
         for (channel, tint) in self.tint.iter_mut().enumerate() {
             let (from_cb, from_cr, shift) = (m.y_axis[channel], m.z_axis[channel], shift[channel]);
-            tint.resize(grid.width as usize * repeat, 0.0);
+            tint.resize((grid.width * grid.supersample) as usize, 0.0);
             for ((blocks, cb), cr) in tint.chunks_exact_mut(repeat).zip(&self.chroma[0]).zip(&self.chroma[1]) {
                 blocks.fill(from_cb * cb + from_cr * cr + shift);
             }
