@@ -117,12 +117,14 @@ impl RadianceTable {
                 let luma = r * IORNS_LUMA.x + g * IORNS_LUMA.y + b * IORNS_LUMA.z;
                 [*to_r, *to_g, *to_b, *to_factor] = [r, g, b, luma].map(entry);
             }
-            for (i, ((r, g), b)) in red.iter_mut().zip(green).zip(blue).enumerate() {
-                let at = |plane: usize| entries[plane][i & (RUN - 1)] as usize & (ENTRIES - 1);
-                let factor = self.factor[at(3)];
-                *r = self.transfer[at(0)] * factor;
-                *g = self.transfer[at(1)] * factor;
-                *b = self.transfer[at(2)] * factor;
+            let texels = red.len().min(green.len()).min(blue.len()).min(RUN);
+            let (red, green, blue) = (&mut red[..texels], &mut green[..texels], &mut blue[..texels]);
+            for i in 0..texels {
+                let [to_r, to_g, to_b, to_factor] = entries.each_ref().map(|run| run[i] as usize & (ENTRIES - 1));
+                let factor = self.factor[to_factor];
+                red[i] = self.transfer[to_r] * factor;
+                green[i] = self.transfer[to_g] * factor;
+                blue[i] = self.transfer[to_b] * factor;
             }
         }
     }
