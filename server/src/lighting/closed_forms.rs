@@ -39,7 +39,8 @@ impl Disc {
     }
 }
 
-/// Discs over an even background, each pixel the average of 4×4 points.
+/// Discs over an even background, each pixel near a disc the average of 4×64 points: at the zenith a rim runs along
+/// the rows.
 fn sky(transfer: Transfer, background: Vec3, discs: &[Disc]) -> Frame {
     let direction = |x: f32, y: f32| direction_from_uv(Vec2::new(x / WIDTH as f32, y / HEIGHT as f32));
     let texels = (0..HEIGHT)
@@ -49,9 +50,12 @@ fn sky(transfer: Transfer, background: Vec3, discs: &[Disc]) -> Frame {
             // A pixel is at most 0.3° wide: only those near a rim need more than their centre.
             let near = |disc: &&Disc| (centre - disc.centre).length() < disc.radius + 0.01;
             let Some(disc) = discs.iter().find(near) else { return background.to_array() };
-            let points = (0..16).map(|k| direction(i + ((k % 4) as f32 + 0.5) / 4.0, j + ((k / 4) as f32 + 0.5) / 4.0));
+            let points = (0..256).map(|k| direction(i + ((k % 4) as f32 + 0.5) / 4.0, j + ((k / 4) as f32 + 0.5) / 64.0));
             let inside = points.filter(|d| (*d - disc.centre).length() < 2.0 * (disc.radius / 2.0).sin()).count();
-            background.lerp(disc.radiance, inside as f32 / 16.0).to_array()
+            let covered = inside as f32 / 256.0;
+            // Codes on the rim that are averages would be lifted as such: the truth is known for hard rims only.
+            let covered = if transfer == Transfer::Linear { covered } else { covered.round() };
+            background.lerp(disc.radiance, covered).to_array()
         })
         .collect();
     frame(WIDTH, HEIGHT, transfer, texels)
@@ -116,7 +120,7 @@ fn one_disc_on_black() {
             let context = format!("{} {longitude} {latitude} {radius}: {estimate:?}", method.name());
             assert_eq!(estimate.lights.len(), 1, "{context}");
             assert!(degrees(estimate.lights[0].direction, disc.centre) < 0.5, "{context}");
-            // Sampling the rim at 16 points a pixel costs up to 0.3 %, the SH of the residual up to 0.6 %.
+            // Nine SH give what the threshold leaves of a disc 6 % too much irradiance: 0.6 % of the whole.
             assert!(relative(irradiance(&estimate, disc.centre), disc.irradiance()) < 0.01, "{context}");
             // The light's rim is blurred by a texel of 0.6° to 0.7° on each side.
             let widened = Disc { radius: disc.radius + 0.012, ..disc }.solid_angle_sr();
@@ -136,8 +140,7 @@ fn one_clipped_disc_on_black_has_the_lifted_irradiance() {
         assert!(degrees(estimate.lights[0].direction, disc.centre) < 0.5);
         let lifted = Disc { radiance: white, ..disc };
         if boost == 1.0 {
-            // Texels on the rim are averaged as codes and lifted less: 5 % of a disc of seven texels' diameter.
-            assert!(relative(irradiance(&estimate, disc.centre), lifted.irradiance()) < 0.2, "{estimate:?}");
+            assert!(relative(irradiance(&estimate, disc.centre), lifted.irradiance()) < 0.01, "{estimate:?}");
         }
         let plain = self::estimate(&mut Mr360::new(false), &sky(Transfer::Srgb, Vec3::ZERO, &[disc]));
         assert!(relative(estimate.lights[0].irradiance, plain.lights[0].irradiance * boost) < 1e-5);
@@ -193,7 +196,9 @@ fn sun_at_the_zenith() {
     assert_eq!(paper.lights.len(), 1, "{paper:?}");
     let (sin, cos) = (disc.radius * 2.0 / 3.0).sin_cos();
     assert!(degrees(paper.lights[0].direction, Vec3::new(0.0, cos, -sin)) < 0.1, "{paper:?}");
-    assert!(relative(irradiance(&paper, disc.centre), disc.irradiance()) < 0.01, "{paper:?}");
+    assert!(relative(energy(&paper).as_vec3(), disc.radiance * disc.solid_angle_sr()) < 0.01, "{paper:?}");
+    // Pixels crowd at the pole, so μ + 2σ over pixels leaves two fifths of the disc in the SH, which add 6 % to it.
+    assert!(relative(irradiance(&paper, disc.centre), disc.irradiance()) < 0.03, "{paper:?}");
 }
 
 #[test]
@@ -207,10 +212,10 @@ fn uniform_sky_is_ambient_alone() {
             let radiance = radiance_from_code(estimate.lift, colour, code);
             assert!(estimate.lights.is_empty(), "{} {transfer:?}: {:?}", method.name(), estimate.lights);
             for normal in [Vec3::X, Vec3::Y, Vec3::NEG_Z, Vec3::ONE.normalize()] {
-                // Half a table step of the lift is 0.25 %; 32 rows at their centres leave 0.05 % in band 2.
+                // Half a table step of the lift is 0.25 %; 32 rows at their centres leave 0.3 % of radiance in band 2.
                 let tolerance = if transfer == Transfer::Linear { 1e-3 } else { 4e-3 };
                 assert!(relative(irradiance(&estimate, normal), radiance * PI) < tolerance, "{} {transfer:?}: {estimate:?}", method.name());
-                assert!(relative(sh::radiance(&estimate.sh, normal), radiance) < 2.0 * tolerance, "{} {transfer:?}", method.name());
+                assert!(relative(sh::radiance(&estimate.sh, normal), radiance) < tolerance + 3e-3, "{} {transfer:?}", method.name());
             }
         }
     }
@@ -244,7 +249,7 @@ impl Noise {
 #[test]
 fn energy_is_conserved_on_random_panoramas() {
     for seed in 1..12u64 {
-        let mut noise = Noise(seed * 0x9E37_79B9_7F4A_7C15);
+        let mut noise = Noise(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15));
         let (width, height) = [(256, 128), (333, 167), (64, 32), (1024, 512)][seed as usize % 4];
         // Mostly dim, now and then up to thousands: hundreds of lights for the paper, cut at 90 %.
         let texels: Vec<[f32; 3]> = (0..width * height)

@@ -63,14 +63,14 @@ fn moments(row: &[f32], harmonics: &[Vec<f32>; 4]) -> [f64; 5] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lighting::panorama::WorkingSize;
+    use crate::lighting::sampling::Grid;
     use mr360_protocol::light::Lift;
     use mr360_shaders::sh::basis9;
 
     #[test]
     fn rows_of_moments_equal_the_sum_over_texels() {
         // 30 columns leave a remainder of six beside the lanes.
-        let mut panorama = Panorama::new(WorkingSize { width: 30, height: 14, supersample: 1 }, Lift::Linear);
+        let mut panorama = Panorama::new(Grid { width: 30, height: 14, supersample: 1 }, Lift::Linear);
         let mut expected = [Vec3::ZERO; 9];
         for (row, column) in (0..14).flat_map(|row| (0..30).map(move |column| (row, column))) {
             let radiance = Vec3::new((row * 7 + column * 3) as f32 % 5.0, column as f32 * 0.1, row as f32 * 0.3);

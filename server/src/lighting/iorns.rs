@@ -4,13 +4,14 @@
 use mr360_protocol::light::Lift;
 
 use super::harmonics::project9;
-use super::panorama::{Panorama, WorkingSize};
+use super::panorama::Panorama;
+use super::sampling::Grid;
 use super::{Estimate, LightError, LightMethod, StepTimes};
 use crate::frame::Frame;
 
 /// The paper sums the diffuse map over a mip level of the tone-mapped frame. Blocks of 512×256 are tone-mapped
 /// one by one and averaged to 64×32 texels, at which SH of bands 0–2 has converged.
-const SIZE: WorkingSize = WorkingSize { width: 64, height: 32, supersample: 8 };
+const SIZE: Grid = Grid { width: 64, height: 32, supersample: 8 };
 
 /// The paper's method; see the module.
 pub struct Iorns {

@@ -11,14 +11,16 @@ use mr360_shaders::colour::IORNS_LUMA;
 
 use super::candidates::{Candidate, Candidates};
 use super::harmonics::project9;
-use super::panorama::{Panorama, WorkingSize};
+use super::panorama::Panorama;
 use super::radiance::Planes;
 use super::regions::{Regions, Topology};
+use super::sampling::Grid;
 use super::{Estimate, LightError, LightMethod, StepTimes};
 use crate::frame::Frame;
 
-/// Section 6.3: the upper half is 600×150. The lower half is needed for the residual only.
-const SIZE: WorkingSize = WorkingSize { width: 600, height: 300, supersample: 1 };
+/// Section 6.3: the upper half is 600×150. The lower half is needed for the residual only. The tone map is inverted
+/// at twice that resolution, before the resampling.
+const SIZE: Grid = Grid { width: 600, height: 300, supersample: 2 };
 /// Section 4.1: the smallest number of lights that hold this share of all detected irradiance is kept.
 const KEPT_SHARE: f64 = 0.9;
 /// Relative margin over the mean that a threshold needs, so that rounding in an even sky makes no light.

@@ -1,10 +1,11 @@
 //! The working panorama: a small linear map of the whole sphere, made from a frame by area averaging.
 //!
-//! Order of the steps: codes are averaged over blocks first and become radiance afterwards, because decoding
-//! every pixel of a 3840×1920 frame costs several times the rest of the estimate. The mean of a convex curve is
-//! above the curve of the mean, so this loses energy where a block holds both dark and bright pixels. Each texel
-//! is therefore made of `supersample`² blocks which are decoded one by one and averaged as radiance. Linear
-//! input has no curve: it is averaged directly, rows weighted by their solid angle, and keeps its energy exactly.
+//! RGB frames are decoded pixel by pixel and averaged as radiance, rows weighted by their solid angle: linear input
+//! keeps its energy exactly. For video that would cost several times the rest of the estimate, so blocks of codes
+//! are averaged first and become radiance afterwards. The mean of a convex curve is above the curve of the mean:
+//! with white at the 95th percentile and [`Lift::Highlights`], averaging 2×2 pixels of sixteen 512×256 panoramas
+//! before decoding them took 0.5 to 26 % off their irradiance, 4 % in the median. Each texel is therefore made of
+//! `supersample`² blocks which are decoded one by one.
 
 use std::f32::consts::TAU;
 
@@ -15,23 +16,12 @@ use mr360_shaders::equirect::pixel_solid_angle_sr;
 
 use super::LightError;
 use super::radiance::{Planes, RadianceTable};
-use super::sampling::{Edges, VideoSampler, VideoView};
+use super::sampling::{Edges, Grid, VideoSampler, VideoView};
 use crate::frame::{Frame, Pixels};
 
 /// Largest finite radiance that is believed: over a hundred times the sun's disc over a display white of
 /// 203 cd/m², and far from where sums of texels leave the range of `f32`.
 const LARGEST_RADIANCE: f32 = 1e9;
-
-/// Size of a working panorama and of its blocks.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct WorkingSize {
-    /// Texels across.
-    pub(super) width: u32,
-    /// Texels down.
-    pub(super) height: u32,
-    /// Blocks a texel in each direction.
-    pub(super) supersample: u32,
-}
 
 /// Directions and solid angles of a working panorama's texels, by row and by column.
 pub(super) struct Geometry {
@@ -48,7 +38,7 @@ pub(super) struct Geometry {
 }
 
 impl Geometry {
-    fn new(size: WorkingSize) -> Self {
+    fn new(size: Grid) -> Self {
         let (width, height) = (size.width, size.height);
         let longitude: Vec<f32> = (0..width).map(|i| ((i as f32 + 0.5) / width as f32 - 0.5) * TAU).collect();
         let latitude: Vec<f32> = (0..height).map(|j| (0.5 - (j as f32 + 0.5) / height as f32) * TAU / 2.0).collect();
@@ -77,7 +67,7 @@ impl Geometry {
 /// A linear panorama of fixed size, refilled from frame to frame without allocating.
 pub(super) struct Panorama {
     /// Its size.
-    pub(super) size: WorkingSize,
+    pub(super) size: Grid,
     /// Where its texels look.
     pub(super) geometry: Geometry,
     /// Radiance, row by row from the top; finite and not negative.
@@ -87,16 +77,14 @@ pub(super) struct Panorama {
     lift: Lift,
     table: RadianceTable,
     video: VideoSampler,
-    edges: Edges,
-    /// Codes of one row of blocks.
+    /// Codes, then radiance, of one row of blocks of a video frame.
     blocks: Planes,
-    /// One source row after vertical averaging, RGB input only.
-    source_row: Planes,
+    rgb: RgbSampler,
 }
 
 impl Panorama {
     /// An empty panorama that applies `lift` to LDR frames.
-    pub(super) fn new(size: WorkingSize, lift: Lift) -> Self {
+    pub(super) fn new(size: Grid, lift: Lift) -> Self {
         let texels = size.width as usize * size.height as usize;
         Self {
             size,
@@ -106,9 +94,8 @@ impl Panorama {
             lift,
             table: RadianceTable::new(lift, Colour::default()),
             video: VideoSampler::default(),
-            edges: Edges::default(),
             blocks: Planes::default(),
-            source_row: Planes::default(),
+            rgb: RgbSampler::default(),
         }
     }
 
@@ -144,44 +131,46 @@ impl Panorama {
         match &frame.pixels {
             Pixels::Video(video, colour) => {
                 let view = VideoView::new(video, *colour, frame.stereo)?;
-                self.fill(*colour, |video, _, row, size, codes| video.codes(&view, row, size, codes));
+                self.prepare(*colour);
+                self.take_video(&view);
             }
             Pixels::Rgb { width, height, texels, transfer } => {
                 let view = RgbView::new((*width, *height), texels, frame.stereo)?;
-                let linear = *transfer == Transfer::Linear;
-                let colour = Colour { transfer: *transfer, ..Colour::default() };
-                let mut source_row = std::mem::take(&mut self.source_row);
-                let mut mended = 0;
-                self.fill(colour, |_, edges, row, size, codes| {
-                    mended += view.average_rows(row, size.1, linear, &mut source_row);
-                    edges.fit(view.width, size.0);
-                    for (source, out) in source_row.iter().zip(codes) {
-                        edges.average(source, out);
-                    }
-                });
-                (self.source_row, self.mended) = (source_row, mended);
+                self.prepare(Colour { transfer: *transfer, ..Colour::default() });
+                self.take_rgb(&view);
             }
         }
         Ok(())
     }
 
-    /// Fills the texels from rows of blocks that `codes_of_row` provides.
-    fn fill(&mut self, colour: Colour, mut codes_of_row: impl FnMut(&mut VideoSampler, &mut Edges, u32, (u32, u32), &mut Planes)) {
+    fn prepare(&mut self, colour: Colour) {
         if !self.table.is_for(self.lift, colour) {
             self.table = RadianceTable::new(self.lift, colour);
         }
-        let WorkingSize { width, height, supersample } = self.size;
-        let supersample = if colour.transfer == Transfer::Linear { 1 } else { supersample };
-        let grid = (width * supersample, height * supersample);
-        self.blocks.iter_mut().for_each(|plane| plane.resize(grid.0 as usize, 0.0));
-        let width = width as usize;
-        for block_row in 0..grid.1 {
-            codes_of_row(&mut self.video, &mut self.edges, block_row, grid, &mut self.blocks);
+    }
+
+    fn take_video(&mut self, view: &VideoView<'_>) {
+        let (width, supersample) = (self.size.width as usize, self.size.supersample);
+        self.blocks.iter_mut().for_each(|plane| plane.resize(width * supersample as usize, 0.0));
+        for block_row in 0..self.size.height * supersample {
+            self.video.codes(view, block_row, self.size, &mut self.blocks);
             self.table.decode(&mut self.blocks);
             let row = (block_row / supersample) as usize;
             for (channel, blocks) in self.channels.iter_mut().zip(&self.blocks) {
                 let texels = &mut channel[row * width..(row + 1) * width];
                 gather(texels, blocks, supersample as usize, block_row % supersample == 0);
+            }
+        }
+    }
+
+    fn take_rgb(&mut self, view: &RgbView<'_>) {
+        let width = self.size.width as usize;
+        self.rgb.edges.fit(view.width, self.size.width);
+        for row in 0..self.size.height {
+            self.mended += self.rgb.average_rows(view, row, self.size.height, &self.table);
+            let texels = row as usize * width..(row as usize + 1) * width;
+            for (channel, averaged) in self.channels.iter_mut().zip(&self.rgb.averaged) {
+                self.rgb.edges.average(averaged, &mut channel[texels.clone()]);
             }
         }
     }
@@ -220,33 +209,57 @@ impl<'a> RgbView<'a> {
         Ok(Self { texels, stride: width as usize, width: eye_width, height: eye_height })
     }
 
-    /// Averages the source rows under block row `block` of `blocks` into `out`, weighted by the solid angle that
-    /// they share with it. Returns how many source values were mended.
-    fn average_rows(&self, block: u32, blocks: u32, linear: bool, out: &mut Planes) -> u64 {
-        let width = self.width as usize;
-        for plane in out.iter_mut() {
+    fn row(&self, row: u32) -> &[[f32; 3]] {
+        let first = row as usize * self.stride;
+        self.texels.get(first..first + self.width as usize).unwrap_or_default()
+    }
+}
+
+/// Buffers for sampling RGB frames; reused from frame to frame.
+#[derive(Default)]
+struct RgbSampler {
+    edges: Edges,
+    /// One source row as radiance.
+    decoded: Planes,
+    /// The average of the source rows under one row of texels.
+    averaged: Planes,
+}
+
+impl RgbSampler {
+    /// Averages the source rows under row `row` of `rows` into `averaged`, weighted by the solid angle that they
+    /// share with it. Returns how many source values were mended.
+    fn average_rows(&mut self, view: &RgbView<'_>, row: u32, rows: u32, table: &RadianceTable) -> u64 {
+        for plane in self.averaged.iter_mut().chain(&mut self.decoded) {
             plane.clear();
-            plane.resize(width, 0.0);
+            plane.resize(view.width as usize, 0.0);
         }
-        let [red, green, blue] = out;
-        let scale = f64::from(self.height) / f64::from(blocks);
-        let (start, end) = (f64::from(block) * scale, f64::from(block + 1) * scale);
-        let height = |row: f64| ((0.5 - row / f64::from(self.height)) * std::f64::consts::PI).sin();
+        let scale = f64::from(view.height) / f64::from(rows);
+        let (start, end) = (f64::from(row) * scale, f64::from(row + 1) * scale);
+        let height = |row: f64| ((0.5 - row / f64::from(view.height)) * std::f64::consts::PI).sin();
         let mut mended = 0;
-        for row in start.floor() as u32..(end.ceil() as u32).min(self.height) {
-            let (from, to) = (f64::from(row).max(start), f64::from(row + 1).min(end));
+        for source in start.floor() as u32..(end.ceil() as u32).min(view.height) {
+            let (from, to) = (f64::from(source).max(start), f64::from(source + 1).min(end));
             let weight = ((height(from) - height(to)) / (height(start) - height(end))) as f32;
-            let first = row as usize * self.stride;
-            let source = self.texels.get(first..first + width).unwrap_or_default();
-            for (((texel, r), g), b) in source.iter().zip(red.iter_mut()).zip(green.iter_mut()).zip(blue.iter_mut()) {
-                for (value, sum) in texel.iter().zip([r, g, b]) {
-                    let fixed = mend(*value, linear);
-                    mended += u64::from(fixed != *value && from == f64::from(row));
-                    *sum += weight * fixed;
-                }
+            let faults = self.decode_row(view.row(source), table);
+            // A row shared by several rows of texels is counted in the one where it begins.
+            mended += if from == f64::from(source) { faults } else { 0 };
+            for (sum, decoded) in self.averaged.iter_mut().zip(&self.decoded) {
+                sum.iter_mut().zip(decoded).for_each(|(sum, radiance)| *sum += weight * radiance);
             }
         }
         mended
+    }
+
+    fn decode_row(&mut self, source: &[[f32; 3]], table: &RadianceTable) -> u64 {
+        let mut faults = 0;
+        for (channel, plane) in self.decoded.iter_mut().enumerate() {
+            for (out, texel) in plane.iter_mut().zip(source) {
+                *out = mend(texel[channel], table.is_linear());
+                faults += u64::from(*out != texel[channel]);
+            }
+        }
+        table.decode(&mut self.decoded);
+        faults
     }
 }
 
@@ -266,7 +279,7 @@ mod tests {
     use ffmpeg_next::format::Pixel;
     use mr360_protocol::video::{Matrix, Primaries};
 
-    const SIZE: WorkingSize = WorkingSize { width: 16, height: 8, supersample: 1 };
+    const SIZE: Grid = Grid { width: 16, height: 8, supersample: 1 };
 
     fn rgb(width: u32, height: u32, transfer: Transfer, texel: impl Fn(u32, u32) -> [f32; 3]) -> Frame {
         let texels = (0..height).flat_map(|j| (0..width).map(move |i| (i, j))).map(|(i, j)| texel(i, j)).collect();
@@ -292,7 +305,7 @@ mod tests {
     }
 
     fn taken(frame: &Frame, lift: Lift, supersample: u32) -> Panorama {
-        let mut panorama = Panorama::new(WorkingSize { supersample, ..SIZE }, lift);
+        let mut panorama = Panorama::new(Grid { supersample, ..SIZE }, lift);
         panorama.take(frame).unwrap();
         panorama
     }
@@ -339,7 +352,7 @@ mod tests {
             };
             let mut frame = rgb(width, height, Transfer::Linear, |x, y| [if left(x, y, 1) { 0.25 } else { 4.0 }; 3]);
             frame.stereo = stereo;
-            assert!(taken(&frame, Lift::Linear, 1).channels.iter().flatten().all(|v| *v == 0.25), "{stereo:?}");
+            assert!(taken(&frame, Lift::Linear, 1).channels.iter().flatten().all(|v| (v - 0.25).abs() < 1e-6), "{stereo:?}");
             let mut frame = video(Pixel::YUV420P, width, height, Colour::default(), |plane, x, y| {
                 let (dark, bright) = if plane == 0 { (60, 230) } else { (128, 20) };
                 if left(x, y, if plane == 0 { 1 } else { 2 }) { dark } else { bright }
@@ -347,7 +360,7 @@ mod tests {
             frame.stereo = stereo;
             let panorama = taken(&frame, Lift::Linear, 2);
             let expected = (44.0f32 / 219.0).powf(2.4);
-            assert!(panorama.channels.iter().flatten().all(|v| (v / expected - 1.0).abs() < 4e-3), "{stereo:?}");
+            assert!(panorama.channels.iter().flatten().all(|v| (v / expected - 1.0).abs() < 4e-3), "{stereo:?} {:?}", panorama.channels);
         }
     }
 
@@ -394,9 +407,11 @@ mod tests {
     #[test]
     fn blocks_are_decoded_before_they_are_averaged() {
         // Each texel half black, half white: radiance one half, code one half would be 0.19.
-        let frame = rgb(32, 8, Transfer::Bt709, |i, _| [(i % 2) as f32; 3]);
-        assert!(taken(&frame, Lift::Linear, 2).channels.iter().flatten().all(|v| (v - 0.5).abs() < 1e-3));
-        assert!(taken(&frame, Lift::Linear, 1).channels.iter().flatten().all(|v| (v - 0.189).abs() < 1e-3));
+        let stripes = video(Pixel::YUV444P, 32, 8, Colour::default(), |p, x, _| [16 + 219 * (x % 2) as u16, 128, 128][p]);
+        let is = |panorama: Panorama, expected: f32| panorama.channels.iter().flatten().all(|v| (v - expected).abs() < 1e-3);
+        assert!(is(taken(&stripes, Lift::Linear, 2), 0.5));
+        assert!(is(taken(&stripes, Lift::Linear, 1), 0.189));
+        assert!(is(taken(&rgb(32, 8, Transfer::Bt709, |i, _| [(i % 2) as f32; 3]), Lift::Linear, 1), 0.5));
     }
 
     #[test]

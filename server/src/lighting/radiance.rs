@@ -11,6 +11,8 @@ use mr360_shaders::colour::{
 /// Entries of a table over code values in [0, 1]. Rounding to the nearest entry moves a code by at most
 /// 1/8190, an eighth of an 8-bit step, and averages out over the texels.
 const ENTRIES: usize = 4096;
+/// Texels whose table entries are worked out before any is looked up.
+const RUN: usize = 64;
 
 /// Planar R, G and B, one value a texel.
 pub(super) type Planes = [Vec<f32>; 3];
@@ -69,6 +71,11 @@ impl RadianceTable {
         self.key == (effective_lift(lift, colour.transfer), colour)
     }
 
+    /// Whether codes are radiance already.
+    pub(super) fn is_linear(&self) -> bool {
+        self.key.1.transfer == Transfer::Linear
+    }
+
     /// The lift that is applied.
     pub(super) fn lift(&self) -> Lift {
         self.key.0
@@ -89,30 +96,50 @@ impl RadianceTable {
             for_each_texel(planes, |radiance| self.primaries * radiance);
         }
         for plane in planes {
-            plane.iter_mut().for_each(|v| *v = v.max(0.0));
+            plane.iter_mut().for_each(|v| *v = if *v > 0.0 { *v } else { 0.0 });
         }
     }
 
     fn decode_plain(&self, planes: &mut Planes) {
         for plane in planes {
-            plane.iter_mut().for_each(|v| *v = self.transfer[entry(*v)]);
+            plane.iter_mut().for_each(|v| *v = self.transfer[entry(unit(*v)) as usize & (ENTRIES - 1)]);
         }
     }
 
     fn decode_lifted(&self, [red, green, blue]: &mut Planes) {
-        for ((r, g), b) in red.iter_mut().zip(green.iter_mut()).zip(blue.iter_mut()) {
-            let code = [*r, *g, *b].map(|v| v.clamp(0.0, 1.0));
-            let luma = code[0] * IORNS_LUMA.x + code[1] * IORNS_LUMA.y + code[2] * IORNS_LUMA.z;
-            let factor = self.factor[entry(luma)];
-            *r = self.transfer[entry(code[0])] * factor;
-            *g = self.transfer[entry(code[1])] * factor;
-            *b = self.transfer[entry(code[2])] * factor;
+        for ((red, green), blue) in red.chunks_mut(RUN).zip(green.chunks_mut(RUN)).zip(blue.chunks_mut(RUN)) {
+            // All arithmetic first, on runs that the compiler can do several texels at a time, then the look-ups.
+            let mut entries = [[0u32; RUN]; 4];
+            let [to_r, to_g, to_b, to_factor] = &mut entries;
+            let run = red.iter().zip(green.iter()).zip(blue.iter());
+            for ((((((r, g), b), to_r), to_g), to_b), to_factor) in run.zip(to_r).zip(to_g).zip(to_b).zip(to_factor) {
+                let (r, g, b) = (unit(*r), unit(*g), unit(*b));
+                let luma = r * IORNS_LUMA.x + g * IORNS_LUMA.y + b * IORNS_LUMA.z;
+                [*to_r, *to_g, *to_b, *to_factor] = [r, g, b, luma].map(entry);
+            }
+            let texels = red.len().min(green.len()).min(blue.len()).min(RUN);
+            let (red, green, blue) = (&mut red[..texels], &mut green[..texels], &mut blue[..texels]);
+            for i in 0..texels {
+                let [to_r, to_g, to_b, to_factor] = entries.each_ref().map(|run| run[i] as usize & (ENTRIES - 1));
+                let factor = self.factor[to_factor];
+                red[i] = self.transfer[to_r] * factor;
+                green[i] = self.transfer[to_g] * factor;
+                blue[i] = self.transfer[to_b] * factor;
+            }
         }
     }
 }
 
-fn entry(code: f32) -> usize {
-    ((code * (ENTRIES - 1) as f32 + 0.5) as usize).min(ENTRIES - 1)
+/// Clamps to [0, 1]; written as comparisons because these are single instructions.
+fn unit(v: f32) -> f32 {
+    let v = if v > 0.0 { v } else { 0.0 };
+    if v < 1.0 { v } else { 1.0 }
+}
+
+/// Nearest entry for a code in [0, 1]. Adding 2²³ leaves the rounded integer in the low bits of the float, which
+/// costs less than a checked conversion and cannot leave the table.
+fn entry(code: f32) -> u32 {
+    (code * (ENTRIES - 1) as f32 + 8_388_608.0).to_bits() & (ENTRIES as u32 - 1)
 }
 
 fn for_each_texel([red, green, blue]: &mut Planes, f: impl Fn(Vec3) -> Vec3) {
