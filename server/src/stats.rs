@@ -207,7 +207,10 @@ impl Csv {
     fn row(&mut self, pts_us: u64, coded: &Coded, light: Option<&LightRow<'_>>) -> std::io::Result<()> {
         if !self.header_written {
             let Some(light) = light else { return Ok(()) };
-            write!(self.out, "pts_us,ingested_us,video_published_us,video_bytes,decoded_us,light_begun_us,light_published_us,lights,light_bytes")?;
+            write!(
+                self.out,
+                "pts_us,ingested_us,video_published_us,video_bytes,decoded_us,light_begun_us,light_published_us,lights,light_bytes"
+            )?;
             for (name, _) in light.steps.iter() {
                 write!(self.out, ",light_{}_us", name.replace([' ', ','], "_"))?;
             }

@@ -13,10 +13,10 @@ use super::layout::{Layout, Projection, check_size};
 use super::pictures::video_info;
 use super::queue::Queue;
 use super::shared::{Shared, count};
-use crate::plaza::{Plaza, PlazaConfig};
 use super::testcard::TestCard;
 use super::{IngestEvent, VideoCodec};
 use crate::frame::{Frame, Pixels};
+use crate::plaza::{Plaza, PlazaConfig};
 
 /// Names that [`open`] knows.
 const KNOWN: &str = "plaza, testcard";
