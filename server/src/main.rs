@@ -24,8 +24,9 @@ enum Command {
 fn main() -> ExitCode {
     let cli = Cli::parse();
     let filter =
-        tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "info,moq_net=warn,moq_mux=warn,quinn=warn".into());
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+        tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "info,moq_net=error,moq_mux=warn,quinn=warn".into());
+    let colours = std::io::IsTerminal::is_terminal(&std::io::stderr());
+    tracing_subscriber::fmt().with_env_filter(filter).with_ansi(colours).with_writer(std::io::stderr).init();
     match cli.command {
         Command::Serve(args) => serve(*args),
         Command::Analyze(args) => analyze(&args).map_err(Failure::Input),

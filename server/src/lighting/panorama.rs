@@ -11,7 +11,7 @@ use std::f32::consts::TAU;
 
 use glam::Vec3;
 use mr360_protocol::light::{Lift, MAX_MAGNITUDE};
-use mr360_protocol::video::{Colour, StereoLayout, Transfer};
+use mr360_protocol::video::{Colour, StereoLayout};
 use mr360_shaders::equirect::pixel_solid_angle_sr;
 
 use super::LightError;

@@ -16,7 +16,7 @@ const EXPOSURE_TARGET: f32 = 0.36;
 const TURBIDITY: f32 = 2.6;
 /// Illuminance of the sun above the atmosphere, klx.
 const EXTRATERRESTRIAL_KLX: f32 = 128.0;
-/// The zenith formula overrates clear skies against measured ones, about 1 : 4 to the sun on level ground.
+/// The zenith formula makes skies too bright beside this sun; scaled so that sky and sun light level ground about 1 : 4.
 const SKY_SHARE: f32 = 0.7;
 /// Takes out the violet that the chromaticity fit has at low turbidity.
 const SKY_TINT: Vec3 = Vec3::new(0.80, 1.0, 1.02);
@@ -106,11 +106,6 @@ impl Sky {
     pub(super) fn aureole(&self, direction: Vec3) -> Vec3 {
         let gamma = direction.dot(self.sun).clamp(-1.0, 1.0).acos();
         self.aureole_irradiance * ((-gamma / AUREOLE_RAD).exp() / (TAU * AUREOLE_RAD * AUREOLE_RAD))
-    }
-
-    /// Radiance of the uncovered disc.
-    pub(super) fn disc(&self) -> Vec3 {
-        self.sun_irradiance / sun_solid_angle_sr()
     }
 
     /// Share of the sun's light that gets through at a time, in (0, 1], in steps of 1/256.
