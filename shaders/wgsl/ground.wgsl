@@ -70,10 +70,15 @@ fn fs_ground(in: GroundVertex) -> @location(0) vec4<f32> {
     return vec4(min(seen * ratio, vec3(LARGEST_RADIANCE)), 1.0);
 }
 
-// Hides what lies beneath the ground; writes depth alone.
+// Hides what lies beneath the ground: writes depth, and nothing over the video.
 @vertex
 fn vs_horizon(@builtin(vertex_index) index: u32) -> @builtin(position) vec4<f32> {
     let corner = vec2(f32(index & 1u), f32(index >> 1u)) * 2.0 - 1.0;
     let world = vec3(view.position.x + corner.x * GROUND_EXTENT_M, lighting.ground_y, view.position.z - corner.y * GROUND_EXTENT_M);
     return view.clip_from_world * vec4(world, 1.0);
+}
+
+@fragment
+fn fs_horizon() -> @location(0) vec4<f32> {
+    return vec4(0.0);
 }

@@ -65,10 +65,10 @@ fn through_glass(n: vec3<f32>, v: vec3<f32>, tint: vec3<f32>, mirror: vec3<f32>,
 }
 
 @fragment
-fn fs_object(in: ObjectVertex) -> @location(0) vec4<f32> {
+fn fs_object(in: ObjectVertex, @builtin(front_facing) front: bool) -> @location(0) vec4<f32> {
     let instance = instances[in.instance];
     let v = normalize(view.position - in.world);
-    let n = normalize(in.normal);
+    let n = normalize(select(-in.normal, in.normal, front));
     let mirror = reflect(-v, n);
     let dx = dpdx(mirror);
     let dy = dpdy(mirror);
