@@ -1,1 +1,194 @@
-//! gpu
+//! The Vulkan device that everything is drawn with.
+
+use std::future::Future;
+use std::pin::pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::task::{Context, Poll, Waker};
+
+/// Why there is no device.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum GpuError {
+    /// Nothing to draw with.
+    #[error("no Vulkan adapter found ({0}); install a Vulkan driver: your GPU vendor's, or mesa-vulkan-drivers for drawing in software")]
+    NoAdapter(String),
+    /// The adapter gave no device.
+    #[error("Vulkan adapter {adapter} gave no device: {fault}; update its driver, or install mesa-vulkan-drivers for drawing in software")]
+    NoDevice {
+        /// Name of the adapter.
+        adapter: String,
+        /// The driver's word.
+        fault: String,
+    },
+    /// The device went away while waiting for it.
+    #[error("the GPU did not finish: {0}; the device has to be made anew")]
+    Lost(String),
+    /// A shader module with an import that is missing from the build.
+    #[error(transparent)]
+    Shader(#[from] mr360_shaders::source::ImportError),
+}
+
+/// A device, its queue and where they came from.
+pub struct Gpu {
+    /// Makes surfaces.
+    pub instance: wgpu::Instance,
+    /// Knows formats and limits.
+    pub adapter: wgpu::Adapter,
+    /// Makes resources.
+    pub device: wgpu::Device,
+    /// Takes work.
+    pub queue: wgpu::Queue,
+    lost: Arc<AtomicBool>,
+}
+
+/// Features that are used where the device has them.
+const WANTED: wgpu::Features = wgpu::Features::TIMESTAMP_QUERY.union(wgpu::Features::TEXTURE_FORMAT_16BIT_NORM);
+
+/// A Vulkan instance, to make a window's surface from before the device is chosen.
+#[must_use]
+pub fn vulkan_instance() -> wgpu::Instance {
+    wgpu::Instance::new(wgpu::InstanceDescriptor { backends: wgpu::Backends::VULKAN, ..wgpu::InstanceDescriptor::new_without_display_handle() })
+}
+
+impl Gpu {
+    /// Opens a Vulkan device without a window.
+    ///
+    /// # Errors
+    /// [`GpuError`] naming the remedy.
+    pub fn headless() -> Result<Self, GpuError> {
+        Self::new(vulkan_instance(), None)
+    }
+
+    /// Opens a Vulkan device that can present to the surface, if one is given; the surface comes from `instance`.
+    ///
+    /// # Errors
+    /// [`GpuError`] naming the remedy.
+    pub fn new(instance: wgpu::Instance, compatible_surface: Option<&wgpu::Surface<'_>>) -> Result<Self, GpuError> {
+        let options = wgpu::RequestAdapterOptions {
+            power_preference: wgpu::PowerPreference::HighPerformance,
+            compatible_surface,
+            ..wgpu::RequestAdapterOptions::default()
+        };
+        let adapter = block_on(instance.request_adapter(&options)).map_err(|error| GpuError::NoAdapter(error.to_string()))?;
+        let descriptor = wgpu::DeviceDescriptor {
+            label: Some("mr360"),
+            required_features: Self::features(&adapter),
+            required_limits: Self::limits(&adapter),
+            ..wgpu::DeviceDescriptor::default()
+        };
+        let (device, queue) = block_on(adapter.request_device(&descriptor))
+            .map_err(|error| GpuError::NoDevice { adapter: adapter.get_info().name, fault: error.to_string() })?;
+        Ok(Self::from_parts(instance, adapter, device, queue))
+    }
+
+    /// Features that a device made elsewhere should enable: those of [`Gpu::new`] that the adapter has.
+    #[must_use]
+    pub fn features(adapter: &wgpu::Adapter) -> wgpu::Features {
+        adapter.features() & WANTED
+    }
+
+    /// Limits that a device made elsewhere should have: WebGPU's defaults, with textures as large as the adapter takes.
+    #[must_use]
+    pub fn limits(adapter: &wgpu::Adapter) -> wgpu::Limits {
+        wgpu::Limits { max_texture_dimension_2d: adapter.limits().max_texture_dimension_2d, ..wgpu::Limits::default() }
+    }
+
+    /// Takes over a device that was made elsewhere, by an OpenXR runtime for instance.
+    #[must_use]
+    pub fn from_parts(instance: wgpu::Instance, adapter: wgpu::Adapter, device: wgpu::Device, queue: wgpu::Queue) -> Self {
+        let lost = Arc::new(AtomicBool::new(false));
+        let flag = Arc::clone(&lost);
+        device.set_device_lost_callback(move |reason, message| {
+            if !matches!(reason, wgpu::DeviceLostReason::Destroyed) {
+                tracing::error!(?reason, message, "GPU device lost");
+            }
+            flag.store(true, Ordering::Release);
+        });
+        device.on_uncaptured_error(Arc::new(|error| tracing::error!(%error, "GPU error")));
+        let info = adapter.get_info();
+        tracing::info!(adapter = info.name, driver = info.driver_info, kind = ?info.device_type, "GPU");
+        Self { instance, adapter, device, queue, lost }
+    }
+
+    /// True once the device is gone; everything made from it has to be made anew.
+    #[must_use]
+    pub fn lost(&self) -> bool {
+        self.lost.load(Ordering::Acquire)
+    }
+
+    /// Waits until everything submitted so far is done.
+    ///
+    /// # Errors
+    /// [`GpuError::Lost`] when the device went away.
+    pub fn wait(&self) -> Result<(), GpuError> {
+        match self.device.poll(wgpu::PollType::wait_indefinitely()) {
+            Ok(_) if !self.lost() => Ok(()),
+            Ok(_) => Err(GpuError::Lost("device lost".to_owned())),
+            Err(error) => Err(GpuError::Lost(error.to_string())),
+        }
+    }
+
+    /// Compiles a shader module.
+    ///
+    /// # Errors
+    /// [`GpuError::Shader`] when an import is missing from the build.
+    pub fn shader(&self, module: mr360_shaders::source::Module) -> Result<wgpu::ShaderModule, GpuError> {
+        let source = wgpu::ShaderSource::Wgsl(module.source()?.into());
+        Ok(self.device.create_shader_module(wgpu::ShaderModuleDescriptor { label: Some(module.file()), source }))
+    }
+
+    /// Copies a texture of 4, 8 or 16 bytes a texel back to memory, rows packed from the top. Waits for the GPU.
+    ///
+    /// # Errors
+    /// [`GpuError::Lost`] when the device went away.
+    pub fn read_texture(&self, texture: &wgpu::Texture) -> Result<Vec<u8>, GpuError> {
+        let (width, height) = (texture.width(), texture.height());
+        let texel = texture.format().block_copy_size(None).unwrap_or(4);
+        let row = width * texel;
+        let padded = row.next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
+        let buffer = self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("read back"),
+            size: u64::from(padded) * u64::from(height),
+            usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
+            mapped_at_creation: false,
+        });
+        let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        encoder.copy_texture_to_buffer(
+            texture.as_image_copy(),
+            wgpu::TexelCopyBufferInfo {
+                buffer: &buffer,
+                layout: wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(padded), rows_per_image: None },
+            },
+            wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
+        );
+        self.queue.submit([encoder.finish()]);
+        let bytes = self.read_buffer(&buffer)?;
+        let rows = bytes.chunks_exact(padded as usize);
+        Ok(rows.flat_map(|padded| padded.iter().take(row as usize).copied()).collect())
+    }
+
+    /// Copies a mappable buffer back to memory. Waits for the GPU.
+    ///
+    /// # Errors
+    /// [`GpuError::Lost`] when the device went away.
+    pub fn read_buffer(&self, buffer: &wgpu::Buffer) -> Result<Vec<u8>, GpuError> {
+        let lost = |fault: String| GpuError::Lost(fault);
+        buffer.slice(..).map_async(wgpu::MapMode::Read, |_| {});
+        self.wait()?;
+        let bytes = buffer.slice(..).get_mapped_range().map_err(|error| lost(error.to_string()))?.to_vec();
+        buffer.unmap();
+        Ok(bytes)
+    }
+}
+
+/// wgpu's native futures are ready when they are made; they wait for nothing that would have to wake this thread.
+fn block_on<T>(future: impl Future<Output = T>) -> T {
+    let mut future = pin!(future);
+    loop {
+        if let Poll::Ready(value) = future.as_mut().poll(&mut Context::from_waker(Waker::noop())) {
+            return value;
+        }
+        std::thread::yield_now();
+    }
+}

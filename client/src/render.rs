@@ -1,1 +1,281 @@
-//! render
+//! `mr360-client render`: one picture of a scene in a still panorama, for looking at and for tests from outside.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use anyhow::{Context as _, bail};
+use glam::Vec3;
+use half::f16;
+use mr360_protocol::asset::{AssetId, MAX_ASSET_BYTES};
+use mr360_protocol::light::{DirectionalLight, Lift, LightFrame, MAX_MAGNITUDE, SH9};
+use mr360_protocol::scene::Scene;
+use mr360_protocol::scene_file::SceneFile;
+use mr360_protocol::video::{StereoLayout, Transfer};
+use mr360_shaders::colour::decode_transfer;
+use mr360_shaders::project::project;
+use serde::Deserialize;
+
+use crate::camera::Camera;
+use crate::environment::Environment;
+use crate::gpu::Gpu;
+use crate::picture::{Picture, Samples};
+use crate::view::{Renderer, View};
+
+/// Longest side of a panorama or a picture, pixels.
+const MAX_SIDE: u32 = 16_384;
+/// Most bytes that decoding a panorama may take.
+const MAX_PANORAMA_BYTES: u64 = 2 * 1024 * 1024 * 1024;
+/// Largest light file that is read.
+const MAX_LIGHT_BYTES: u64 = 1024 * 1024;
+
+/// Arguments of `mr360-client render`.
+#[derive(Debug, Clone, clap::Args)]
+pub struct RenderArgs {
+    /// Equirect panorama: .exr and .hdr are linear, .png and .jpg sRGB.
+    #[arg(long)]
+    pub panorama: PathBuf,
+    /// Scene to draw into it.
+    #[arg(long)]
+    pub scene: PathBuf,
+    /// Size of the picture in pixels, as in 1280x720.
+    #[arg(long, value_parser = parse_size, default_value = "1280x720")]
+    pub size: (u32, u32),
+    /// Vertical field of view, degrees.
+    #[arg(long, default_value_t = 60.0, value_parser = parse_fov)]
+    pub fov_y_deg: f32,
+    /// Turn to the left, degrees.
+    #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
+    pub yaw_deg: f32,
+    /// Look upwards, degrees.
+    #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
+    pub pitch_deg: f32,
+    /// Picture to write, sRGB.
+    #[arg(long)]
+    pub out: PathBuf,
+    /// The same in linear light, as OpenEXR.
+    #[arg(long)]
+    pub out_linear: Option<PathBuf>,
+    /// Light of the panorama: the JSON that `mr360-server analyze --json` prints. Without it, spherical
+    /// harmonics of the panorama alone, and no light casts a shadow.
+    #[arg(long)]
+    pub light: Option<PathBuf>,
+    /// Layout of the panorama's views.
+    #[arg(long, value_parser = parse_stereo, default_value = "mono")]
+    pub stereo: StereoLayout,
+    /// Show the right eye's view of a stereo panorama.
+    #[arg(long)]
+    pub right_eye: bool,
+}
+
+fn parse_size(text: &str) -> Result<(u32, u32), String> {
+    let side = |text: &str| text.parse().ok().filter(|side| (1..=MAX_SIDE).contains(side));
+    text.split_once(['x', '×'])
+        .and_then(|(width, height)| Some((side(width)?, side(height)?)))
+        .ok_or_else(|| format!("a size is WIDTHxHEIGHT, each from 1 to {MAX_SIDE}"))
+}
+
+fn parse_fov(text: &str) -> Result<f32, String> {
+    text.parse().ok().filter(|fov| (1.0..=170.0).contains(fov)).ok_or_else(|| "a field of view is from 1 to 170 degrees".to_owned())
+}
+
+fn parse_stereo(text: &str) -> Result<StereoLayout, String> {
+    match text {
+        "mono" => Ok(StereoLayout::Mono),
+        "top-bottom" => Ok(StereoLayout::TopBottom),
+        "side-by-side" => Ok(StereoLayout::SideBySide),
+        _ => Err("mono, top-bottom or side-by-side".to_owned()),
+    }
+}
+
+/// Renders one picture.
+///
+/// # Errors
+/// What is wrong with which file or argument, or that there is no GPU to draw with.
+pub fn run(args: RenderArgs) -> anyhow::Result<()> {
+    if !args.yaw_deg.is_finite() || !args.pitch_deg.is_finite() {
+        bail!("--yaw-deg {} --pitch-deg {}: an angle is not finite", args.yaw_deg, args.pitch_deg);
+    }
+    let picture = load_panorama(&args.panorama, args.stereo)?;
+    let (scene, assets) = load_scene(&args.scene)?;
+    let light = match &args.light {
+        Some(path) => load_light(path)?,
+        None => {
+            tracing::info!("no --light: lit by spherical harmonics of the panorama alone, without shadow-casting lights");
+            ambient_light(&picture)
+        }
+    };
+    let mut camera = Camera::looking(args.yaw_deg.to_radians(), args.pitch_deg.to_radians(), args.fov_y_deg.to_radians());
+    camera.right_eye = args.right_eye;
+    let gpu = Gpu::headless()?;
+    let still = Still { gpu: &gpu, picture: &picture, light: &light, scene: &scene, assets: &assets };
+    let (width, height) = args.size;
+    let bytes = still.draw(&camera, args.size, wgpu::TextureFormat::Rgba8UnormSrgb)?;
+    let rgb = bytes.chunks_exact(4).flat_map(|texel| [texel[0], texel[1], texel[2]]).collect();
+    let picture = image::RgbImage::from_raw(width, height, rgb).context("the GPU gave back fewer pixels than were asked for")?;
+    picture.save(&args.out).with_context(|| format!("{}: cannot be written; check folder, ending and free space", args.out.display()))?;
+    if let Some(path) = &args.out_linear {
+        let bytes = still.draw(&camera, args.size, wgpu::TextureFormat::Rgba32Float)?;
+        let value = |at: usize| bytes.get(at..at + 4).and_then(|b| b.try_into().ok()).map_or(0.0, f32::from_le_bytes);
+        let rgb = (0..bytes.len() / 16).flat_map(|texel| [0, 4, 8].map(|channel| value(texel * 16 + channel))).collect();
+        let picture = image::Rgb32FImage::from_raw(width, height, rgb).context("the GPU gave back fewer pixels than were asked for")?;
+        picture.save(path).with_context(|| format!("{}: cannot be written; check folder, ending and free space", path.display()))?;
+    }
+    Ok(())
+}
+
+/// A still panorama with its light, and a scene to draw into it.
+pub struct Still<'a> {
+    /// Draws.
+    pub gpu: &'a Gpu,
+    /// The panorama.
+    pub picture: &'a Picture,
+    /// Its light.
+    pub light: &'a LightFrame,
+    /// What stands in it.
+    pub scene: &'a Scene,
+    /// Models by name.
+    pub assets: &'a HashMap<AssetId, Arc<[u8]>>,
+}
+
+impl Still<'_> {
+    /// Draws one picture and brings it back, rows packed from the top, as the format says.
+    ///
+    /// # Errors
+    /// A model that cannot be drawn, a panorama too large for the GPU, or a lost GPU.
+    pub fn draw(&self, camera: &Camera, size: (u32, u32), format: wgpu::TextureFormat) -> anyhow::Result<Vec<u8>> {
+        let gpu = self.gpu;
+        let largest = gpu.device.limits().max_texture_dimension_2d;
+        if size.0.max(size.1) > largest {
+            bail!("a picture of {}×{} pixels is larger than this GPU draws, {largest} on a side", size.0, size.1);
+        }
+        let mut environment = Environment::new(gpu)?;
+        environment.upload(gpu, self.picture)?;
+        let mut renderer = Renderer::new(gpu, format)?;
+        renderer.set_light(self.light);
+        if let Some(warning) = renderer.set_scene(gpu, self.scene, &|id| self.assets.get(&id).cloned()).into_iter().next() {
+            return Err(warning.into());
+        }
+        let target = gpu.device.create_texture(&wgpu::TextureDescriptor {
+            label: Some("picture"),
+            size: wgpu::Extent3d { width: size.0, height: size.1, depth_or_array_layers: 1 },
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format,
+            usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC,
+            view_formats: &[],
+        });
+        let view = target.create_view(&wgpu::TextureViewDescriptor::default());
+        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let report = renderer.render(gpu, &mut encoder, &mut environment, &[View { camera: *camera, target: &view, size }]);
+        gpu.queue.submit([encoder.finish()]);
+        let bytes = gpu.read_texture(&target)?;
+        tracing::debug!(plan = ?report.plan, draws = report.draws, triangles = report.triangles, "drawn");
+        Ok(bytes)
+    }
+}
+
+/// Reads a panorama: linear from .exr and .hdr, sRGB from everything else. Negative and non-finite values, as
+/// compression leaves them, become 0; others are held below the largest half float.
+///
+/// # Errors
+/// Naming the file.
+pub fn load_panorama(path: &Path, stereo: StereoLayout) -> anyhow::Result<Picture> {
+    let named = || format!("panorama {}", path.display());
+    let mut reader = image::ImageReader::open(path).with_context(named)?.with_guessed_format().with_context(named)?;
+    let linear = matches!(reader.format(), Some(image::ImageFormat::OpenExr | image::ImageFormat::Hdr));
+    let mut limits = image::Limits::default();
+    limits.max_image_width = Some(MAX_SIDE);
+    limits.max_image_height = Some(MAX_SIDE);
+    limits.max_alloc = Some(MAX_PANORAMA_BYTES);
+    reader.limits(limits);
+    let decoded = reader.decode().with_context(|| format!("{}: not a readable .exr, .hdr, .png or .jpg of at most {MAX_SIDE} pixels a side", named()))?;
+    let pixels = decoded.into_rgb32f();
+    let held = |value: f32| f16::from_f32(if value.is_nan() { 0.0 } else { value.clamp(0.0, MAX_MAGNITUDE) });
+    let texels = pixels.pixels().flat_map(|p| [held(p.0[0]), held(p.0[1]), held(p.0[2]), f16::ONE]).collect();
+    let transfer = if linear { Transfer::Linear } else { Transfer::Srgb };
+    Ok(Picture { pts_us: 0, width: pixels.width(), height: pixels.height(), stereo, samples: Samples::Rgba16F { texels, transfer } })
+}
+
+/// Reads a scene and the models it names.
+///
+/// # Errors
+/// Naming the file, the object and what is wrong with it.
+pub fn load_scene(path: &Path) -> anyhow::Result<(Scene, HashMap<AssetId, Arc<[u8]>>)> {
+    let mut assets = HashMap::new();
+    let scene = SceneFile::load(path)?.resolve(|model| {
+        let size = std::fs::metadata(model).map_err(|error| error.to_string())?.len();
+        if size > MAX_ASSET_BYTES as u64 {
+            return Err(format!("{size} bytes, at most {MAX_ASSET_BYTES}"));
+        }
+        let bytes: Arc<[u8]> = std::fs::read(model).map_err(|error| error.to_string())?.into();
+        let id = AssetId::of(&bytes);
+        assets.insert(id, bytes);
+        Ok(id)
+    })?;
+    Ok((scene, assets))
+}
+
+#[derive(Deserialize)]
+struct FileLight {
+    sh: Vec<[f32; 3]>,
+    lights: Vec<FileDirectional>,
+    #[serde(default)]
+    lift: Lift,
+}
+
+#[derive(Deserialize)]
+struct FileDirectional {
+    #[serde(default)]
+    id: u32,
+    direction: [f32; 3],
+    irradiance: [f32; 3],
+    solid_angle_sr: f32,
+}
+
+/// Reads the first JSON object of a file as `mr360-server analyze --json` prints them.
+///
+/// # Errors
+/// Naming the file and the field.
+pub fn load_light(path: &Path) -> anyhow::Result<LightFrame> {
+    let named = || format!("light {}", path.display());
+    if std::fs::metadata(path).with_context(named)?.len() > MAX_LIGHT_BYTES {
+        bail!("{}: more than {MAX_LIGHT_BYTES} bytes; give one frame of analyze --json", named());
+    }
+    let text = std::fs::read_to_string(path).with_context(named)?;
+    let first = serde_json::Deserializer::from_str(&text).into_iter::<FileLight>().next();
+    let file = first.with_context(|| format!("{}: holds no JSON object", named()))?.with_context(named)?;
+    let light = |light: FileDirectional| DirectionalLight {
+        id: light.id,
+        direction: Vec3::from_array(light.direction).normalize_or_zero(),
+        irradiance: Vec3::from_array(light.irradiance),
+        solid_angle_sr: light.solid_angle_sr,
+    };
+    let frame = LightFrame {
+        pts_us: 0,
+        published_us: 0,
+        lift: file.lift,
+        sh: file.sh.into_iter().map(Vec3::from_array).collect(),
+        lights: file.lights.into_iter().map(light).collect(),
+    };
+    // What could not be broadcast is no light: the wire's bounds on counts and ranges hold here too.
+    frame.to_wire().with_context(named)?;
+    Ok(frame)
+}
+
+/// Spherical harmonics of the left eye's panorama, and no lights.
+#[must_use]
+pub fn ambient_light(picture: &Picture) -> LightFrame {
+    let (width, height) = picture.stereo.eye_size(picture.width, picture.height);
+    let radiance: Vec<Vec3> = match &picture.samples {
+        Samples::Rgba16F { texels, transfer } => texels
+            .chunks_exact(picture.width as usize * 4)
+            .take(height as usize)
+            .flat_map(|row| row.chunks_exact(4).take(width as usize))
+            .map(|texel| decode_transfer(*transfer, Vec3::new(texel[0].to_f32(), texel[1].to_f32(), texel[2].to_f32())))
+            .collect(),
+        Samples::Yuv { .. } => Vec::new(),
+    };
+    LightFrame { pts_us: 0, published_us: 0, lift: Lift::Linear, sh: project::<SH9>(&radiance, width, height).to_vec(), lights: Vec::new() }
+}

@@ -10,9 +10,15 @@ use mr360_protocol::video::{Colour, Matrix, Primaries, Transfer};
 /// Reference white of HDR video, cd/m² (ITU-R BT.2408).
 pub const HDR_REFERENCE_WHITE: f32 = 203.0;
 /// Nominal peak of the HLG reference display, cd/m² (ITU-R BT.2100).
-const HLG_PEAK: f32 = 1000.0;
+pub(crate) const HLG_PEAK: f32 = 1000.0;
 /// System gamma of HLG at 1000 cd/m² (ITU-R BT.2100).
-const HLG_GAMMA: f32 = 1.2;
+pub(crate) const HLG_GAMMA: f32 = 1.2;
+/// a, b and c of the HLG inverse OETF (ITU-R BT.2100).
+pub(crate) const HLG_ABC: [f32; 3] = [0.178_832_77, 1.0 - 4.0 * 0.178_832_77, 0.559_910_7];
+/// m1 and m2 of PQ (SMPTE ST 2084).
+pub(crate) const PQ_M: [f32; 2] = [2610.0 / 16384.0, 2523.0 / 4096.0 * 128.0];
+/// c1, c2 and c3 of PQ (SMPTE ST 2084).
+pub(crate) const PQ_C: [f32; 3] = [3424.0 / 4096.0, 2413.0 / 4096.0 * 32.0, 2392.0 / 4096.0 * 32.0];
 
 /// Luma weights (Kr, Kb) of a YUV matrix (ITU-T H.273).
 fn luma_weights(matrix: Matrix) -> (f32, f32) {
@@ -90,13 +96,9 @@ pub fn srgb_encode(v: f32) -> f32 {
 
 /// SMPTE ST 2084, Eq. 4.1, over the reference white.
 fn pq_decode(v: f32) -> f32 {
-    const M1: f32 = 2610.0 / 16384.0;
-    const M2: f32 = 2523.0 / 4096.0 * 128.0;
-    const C1: f32 = 3424.0 / 4096.0;
-    const C2: f32 = 2413.0 / 4096.0 * 32.0;
-    const C3: f32 = 2392.0 / 4096.0 * 32.0;
-    let p = v.clamp(0.0, 1.0).powf(1.0 / M2);
-    ((p - C1).max(0.0) / (C2 - C3 * p)).powf(1.0 / M1) * 10_000.0 / HDR_REFERENCE_WHITE
+    let ([m1, m2], [c1, c2, c3]) = (PQ_M, PQ_C);
+    let p = v.clamp(0.0, 1.0).powf(1.0 / m2);
+    ((p - c1).max(0.0) / (c2 - c3 * p)).powf(1.0 / m1) * 10_000.0 / HDR_REFERENCE_WHITE
 }
 
 /// ITU-R BT.2100 HLG: inverse OETF, then the OOTF of a 1000 cd/m² display, over the reference white.
@@ -108,11 +110,9 @@ fn hlg_decode(code: Vec3) -> Vec3 {
 /// Scene light in [0, 1] of an HLG code value (ITU-R BT.2100, inverse OETF).
 #[must_use]
 pub fn hlg_scene_light(code: f32) -> f32 {
-    const A: f32 = 0.178_832_77;
-    const B: f32 = 1.0 - 4.0 * A;
-    const C: f32 = 0.559_910_7;
+    let [a, b, c] = HLG_ABC;
     let v = code.clamp(0.0, 1.0);
-    if v <= 0.5 { v * v / 3.0 } else { (((v - C) / A).exp() + B) / 12.0 }
+    if v <= 0.5 { v * v / 3.0 } else { (((v - c) / a).exp() + b) / 12.0 }
 }
 
 /// Factor from HLG scene light to light over the reference white (ITU-R BT.2100, OOTF at 1000 cd/m²).

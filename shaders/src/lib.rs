@@ -5,4 +5,7 @@
 
 pub mod colour;
 pub mod equirect;
+pub mod layout;
+pub mod project;
 pub mod sh;
+pub mod source;

@@ -1,1 +1,188 @@
-//! environment
+//! Video rate: the decoded picture on the GPU, and the reflection map made of it when something reflects.
+
+pub(crate) mod light;
+pub(crate) mod reflection;
+mod upload;
+
+use bytemuck::Zeroable;
+use glam::Mat3;
+use mr360_protocol::video::StereoLayout;
+use mr360_shaders::colour::{bt709_from_primaries, rgb_from_yuv};
+use mr360_shaders::layout;
+use mr360_shaders::source::{lift_index, transfer_index};
+
+use crate::gpu::{Gpu, GpuError};
+use crate::picture::{Picture, Samples};
+use crate::view::timing::PassTimer;
+
+pub use light::FrameLight;
+pub use upload::UploadError;
+
+use reflection::ReflectionMap;
+use upload::Planes;
+
+/// The panorama as the shaders see it.
+pub struct Environment {
+    layout: wgpu::BindGroupLayout,
+    sampler: wgpu::Sampler,
+    uniform: wgpu::Buffer,
+    video: layout::Video,
+    planes: Planes,
+    bind_group: wgpu::BindGroup,
+    eye_width: u32,
+    reflections: ReflectionMap,
+    reflections_stale: bool,
+}
+
+impl Environment {
+    /// A black panorama.
+    ///
+    /// # Errors
+    /// [`GpuError::Shader`] when the build lacks a shader file.
+    pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
+        let layout = video_layout(&gpu.device);
+        let sampler = gpu.device.create_sampler(&wgpu::SamplerDescriptor {
+            label: Some("video"),
+            address_mode_u: wgpu::AddressMode::Repeat,
+            mag_filter: wgpu::FilterMode::Linear,
+            min_filter: wgpu::FilterMode::Linear,
+            ..wgpu::SamplerDescriptor::default()
+        });
+        let uniform = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("video"),
+            size: size_of::<layout::Video>() as u64,
+            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        let planes = Planes::black(&gpu.device);
+        let bind_group = video_bind_group(&gpu.device, &layout, &uniform, &planes, &sampler);
+        let reflections = ReflectionMap::new(gpu, &layout)?;
+        let eye_rect = [StereoLayout::Mono.eye_rect(false); 2];
+        let video = layout::Video { eye_rect, bt709_from_primaries: columns(Mat3::IDENTITY), ..layout::Video::zeroed() };
+        gpu.queue.write_buffer(&uniform, 0, bytemuck::bytes_of(&video));
+        Ok(Self { layout, sampler, uniform, video, planes, bind_group, eye_width: 1, reflections, reflections_stale: true })
+    }
+
+    /// Puts the next picture on the GPU. Textures are kept while size and format stay.
+    ///
+    /// # Errors
+    /// [`UploadError`] when the picture's planes do not hold what they say, or are larger than the GPU takes;
+    /// the picture before it stays.
+    pub fn upload(&mut self, gpu: &Gpu, picture: &Picture) -> Result<(), UploadError> {
+        if self.planes.write(gpu, picture)? {
+            self.bind_group = video_bind_group(&gpu.device, &self.layout, &self.uniform, &self.planes, &self.sampler);
+        }
+        self.eye_width = picture.stereo.eye_size(picture.width, picture.height).0;
+        let lift = self.video.lift;
+        self.video = layout::Video { lift, ..video_uniform(picture, self.planes.code_scale()) };
+        gpu.queue.write_buffer(&self.uniform, 0, bytemuck::bytes_of(&self.video));
+        self.reflections_stale = true;
+        Ok(())
+    }
+
+    /// Takes the light that belongs to the picture: its lift, and the lights to leave out of reflections.
+    pub(crate) fn set_light(&mut self, gpu: &Gpu, light: &FrameLight) {
+        self.video.lift = lift_index(light.lift);
+        gpu.queue.write_buffer(&self.uniform, 0, bytemuck::bytes_of(&self.video));
+        self.reflections_stale = true;
+    }
+
+    /// Records the rebuilding of the reflection map, if picture or light changed since the last time.
+    pub(crate) fn refresh_reflections(&mut self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder, light: &FrameLight, timer: &mut PassTimer) {
+        if self.reflections_stale {
+            self.reflections.record(gpu, encoder, &self.bind_group, self.eye_width, light, timer);
+            self.reflections_stale = false;
+        }
+    }
+
+    /// Group 1 of the shaders that see the video.
+    pub(crate) fn bind_group(&self) -> &wgpu::BindGroup {
+        &self.bind_group
+    }
+
+    /// Group 2 of the shaders that see reflections.
+    pub(crate) fn reflection_bind_group(&self) -> &wgpu::BindGroup {
+        self.reflections.bind_group()
+    }
+}
+
+fn columns(m: Mat3) -> [[f32; 4]; 3] {
+    m.to_cols_array_2d().map(|[x, y, z]| [x, y, z, 0.0])
+}
+
+/// `code_scale` is the largest sampled value over the largest code: sampled · scale is what `rgb_from_yuv` expects.
+fn video_uniform(picture: &Picture, code_scale: f32) -> layout::Video {
+    let eye_rect = [picture.stereo.eye_rect(false), picture.stereo.eye_rect(true)];
+    match &picture.samples {
+        Samples::Yuv { planes, colour } => {
+            let (matrix, offset) = rgb_from_yuv(*colour);
+            let [luma, chroma, _] = planes;
+            let subsampled = chroma.width < luma.width;
+            layout::Video {
+                rgb_from_yuv: columns(matrix * code_scale),
+                bt709_from_primaries: columns(bt709_from_primaries(colour.primaries)),
+                eye_rect,
+                yuv_offset: (offset / code_scale).to_array(),
+                transfer: transfer_index(colour.transfer),
+                chroma_shift_u: if subsampled { 0.5 / picture.width as f32 } else { 0.0 },
+                planar: 1,
+                ..layout::Video::zeroed()
+            }
+        }
+        Samples::Rgba16F { transfer, .. } => layout::Video {
+            bt709_from_primaries: columns(Mat3::IDENTITY),
+            eye_rect,
+            transfer: transfer_index(*transfer),
+            ..layout::Video::zeroed()
+        },
+    }
+}
+
+/// Layout of group 1: how to decode, three planes, their sampler.
+pub(crate) fn video_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let uniform = wgpu::BindGroupLayoutEntry {
+        binding: 0,
+        visibility: wgpu::ShaderStages::FRAGMENT,
+        ty: wgpu::BindingType::Buffer { ty: wgpu::BufferBindingType::Uniform, has_dynamic_offset: false, min_binding_size: None },
+        count: None,
+    };
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("video"),
+        entries: &[uniform, texture_entry(1), texture_entry(2), texture_entry(3), sampler_entry(4)],
+    })
+}
+
+pub(crate) fn texture_entry(binding: u32) -> wgpu::BindGroupLayoutEntry {
+    let ty = wgpu::BindingType::Texture {
+        sample_type: wgpu::TextureSampleType::Float { filterable: true },
+        view_dimension: wgpu::TextureViewDimension::D2,
+        multisampled: false,
+    };
+    wgpu::BindGroupLayoutEntry { binding, visibility: wgpu::ShaderStages::FRAGMENT, ty, count: None }
+}
+
+pub(crate) fn sampler_entry(binding: u32) -> wgpu::BindGroupLayoutEntry {
+    let ty = wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering);
+    wgpu::BindGroupLayoutEntry { binding, visibility: wgpu::ShaderStages::FRAGMENT, ty, count: None }
+}
+
+fn video_bind_group(
+    device: &wgpu::Device,
+    layout: &wgpu::BindGroupLayout,
+    uniform: &wgpu::Buffer,
+    planes: &Planes,
+    sampler: &wgpu::Sampler,
+) -> wgpu::BindGroup {
+    let [y, cb, cr] = planes.views();
+    device.create_bind_group(&wgpu::BindGroupDescriptor {
+        label: Some("video"),
+        layout,
+        entries: &[
+            wgpu::BindGroupEntry { binding: 0, resource: uniform.as_entire_binding() },
+            wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::TextureView(y) },
+            wgpu::BindGroupEntry { binding: 2, resource: wgpu::BindingResource::TextureView(cb) },
+            wgpu::BindGroupEntry { binding: 3, resource: wgpu::BindingResource::TextureView(cr) },
+            wgpu::BindGroupEntry { binding: 4, resource: wgpu::BindingResource::Sampler(sampler) },
+        ],
+    })
+}

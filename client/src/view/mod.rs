@@ -1,1 +1,265 @@
-//! view
+//! Display rate: shadows, objects and ground, composite. A frame is recorded in one place, [`Renderer::render`].
+//!
+//! Objects and changed ground are drawn into a multisampled layer of premultiplied linear radiance; the composite
+//! puts it over the video, which is sampled once a pixel. Where nothing was drawn the layer is exactly 0, so these
+//! pixels have the same bits as with no object in the scene: the layer's samples are cleared to 0, and resolving
+//! averages zeros.
+
+mod models;
+mod pipelines;
+pub mod plan;
+mod resources;
+pub mod shadows;
+mod stage;
+pub mod timing;
+
+use std::sync::Arc;
+
+use glam::Vec3;
+use mr360_protocol::asset::AssetId;
+use mr360_protocol::light::LightFrame;
+use mr360_protocol::scene::{ObjectId, Scene};
+use mr360_shaders::layout;
+
+use crate::camera::Camera;
+use crate::environment::{Environment, FrameLight};
+use crate::gpu::{Gpu, GpuError};
+use crate::scene::pick::{Ray, nearest};
+
+pub use plan::Plan;
+pub use stage::{ModelFault, SceneWarning};
+pub use timing::PassTime;
+
+use models::Models;
+use pipelines::{Layouts, Pipelines};
+use resources::{Layer, Resources, VIEW_STRIDE};
+use shadows::Frustum;
+use stage::Stage;
+use timing::PassTimer;
+
+/// Most views of one frame.
+pub const MAX_VIEWS: usize = 4;
+
+/// One picture to draw.
+pub struct View<'a> {
+    /// From where.
+    pub camera: Camera,
+    /// Where to, of the renderer's format and of `size` pixels.
+    pub target: &'a wgpu::TextureView,
+    /// Columns and rows.
+    pub size: (u32, u32),
+}
+
+/// What a frame cost.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct FrameReport {
+    /// GPU time by pass, of one or two frames earlier; empty where the GPU cannot tell.
+    pub passes: Vec<PassTime>,
+    /// What was decided to run.
+    pub plan: Plan,
+    /// Draw calls.
+    pub draws: u32,
+    /// Triangles of objects, all views and shadow maps together.
+    pub triangles: u64,
+}
+
+/// Draws the shared scene into the video.
+pub struct Renderer {
+    format: wgpu::TextureFormat,
+    layouts: Layouts,
+    pipelines: Pipelines,
+    resources: Resources,
+    models: Models,
+    stage: Stage,
+    light: FrameLight,
+    light_changed: bool,
+    layers: Vec<Layer>,
+    timer: PassTimer,
+}
+
+impl Renderer {
+    /// A renderer to targets of one format. sRGB formats and floats are written linear; 8-bit formats without
+    /// sRGB get sRGB codes.
+    ///
+    /// # Errors
+    /// [`GpuError::Shader`] when the build lacks a shader file.
+    pub fn new(gpu: &Gpu, format: wgpu::TextureFormat) -> Result<Self, GpuError> {
+        let layouts = Layouts::new(&gpu.device);
+        let pipelines = Pipelines::new(gpu, &layouts, format)?;
+        let resources = Resources::new(&gpu.device, &layouts);
+        let models = Models::new(gpu, &layouts.material);
+        let timer = PassTimer::new(gpu);
+        let (stage, light) = (Stage::default(), FrameLight::default());
+        Ok(Self { format, layouts, pipelines, resources, models, stage, light, light_changed: true, layers: Vec::new(), timer })
+    }
+
+    /// Shows this scene from the next frame on. Geometry stays on the GPU while some object shows it. `asset` gives
+    /// a model's bytes, or `None` while they have not come: call again then. Objects without a usable model are
+    /// left out; the warnings say why.
+    pub fn set_scene(&mut self, gpu: &Gpu, scene: &Scene, asset: &dyn Fn(AssetId) -> Option<Arc<[u8]>>) -> Vec<SceneWarning> {
+        self.models.follow(gpu, scene, asset);
+        let (stage, warnings) = Stage::new(scene, &self.models);
+        self.resources.write_scene(gpu, &self.layouts, &stage);
+        self.stage = stage;
+        warnings
+    }
+
+    /// Takes the light that belongs to the environment's picture.
+    pub fn set_light(&mut self, light: &LightFrame) {
+        self.light = FrameLight::from(light);
+        self.light_changed = true;
+    }
+
+    /// The nearest object along a ray and where it is met.
+    #[must_use]
+    pub fn pick(&self, ray: &Ray) -> Option<(ObjectId, Vec3)> {
+        nearest(ray, self.stage.targets.iter().copied())
+    }
+
+    /// Records one frame: shadow maps and reflections once, then each view. At most [`MAX_VIEWS`] are drawn.
+    pub fn render(&mut self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder, environment: &mut Environment, views: &[View<'_>]) -> FrameReport {
+        self.timer.collect(gpu);
+        let views = views.get(..MAX_VIEWS).unwrap_or(views);
+        let plan = Plan::new(self.stage.needs, &self.light);
+        if std::mem::take(&mut self.light_changed) {
+            environment.set_light(gpu, &self.light);
+        }
+        if plan.reflections {
+            environment.refresh_reflections(gpu, encoder, &self.light, &mut self.timer);
+        }
+        let frusta: Vec<Frustum> = self.light.lights.iter().take(plan.shadows).map(|light| self.resources.frustum(light, &self.stage)).collect();
+        self.resources.write_frame(gpu, &self.stage, &self.light, &frusta);
+        let mut report = FrameReport { plan, ..FrameReport::default() };
+        self.draw_shadows(encoder, frusta.len(), &mut report);
+        for (at, view) in views.iter().enumerate() {
+            self.resources.write_view(gpu, at, view, self.format);
+            if plan.objects {
+                self.draw_layer(gpu, encoder, environment, (at, view), &mut report);
+            }
+            self.composite(encoder, environment, (at, view), plan.objects, &mut report);
+        }
+        self.timer.finish(encoder);
+        report.passes = self.timer.latest().to_vec();
+        report
+    }
+
+    fn draw_shadows(&mut self, encoder: &mut wgpu::CommandEncoder, count: usize, report: &mut FrameReport) {
+        const NAMES: [&str; plan::MAX_SHADOWS] = ["shadow 1", "shadow 2", "shadow 3", "shadow 4"];
+        for (at, (layer, name)) in self.resources.shadow_layers.iter().zip(NAMES).take(count).enumerate() {
+            let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+                label: Some(name),
+                depth_stencil_attachment: Some(depth_attachment(layer, 1.0, wgpu::StoreOp::Store)),
+                timestamp_writes: self.timer.pass(name),
+                ..wgpu::RenderPassDescriptor::default()
+            });
+            pass.set_pipeline(&self.pipelines.caster);
+            pass.set_bind_group(0, &self.resources.caster_instances, &[]);
+            pass.set_bind_group(1, &self.resources.caster_views, &[at as u32 * VIEW_STRIDE]);
+            for draw in &self.stage.draws {
+                if let Some(Ok(model)) = self.models.get(&draw.geometry)
+                    && let Some(part) = model.parts.get(draw.part)
+                {
+                    draw_part(&mut pass, part, draw);
+                    report.draws += 1;
+                }
+            }
+            report.triangles += self.stage.triangles;
+        }
+    }
+
+    fn draw_layer(&mut self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder, environment: &Environment, (at, view): (usize, &View<'_>), report: &mut FrameReport) {
+        const NAMES: [&str; MAX_VIEWS] = ["objects", "objects, view 2", "objects, view 3", "objects, view 4"];
+        if self.layers.get(at).is_none_or(|layer| layer.size != view.size) {
+            self.layers.truncate(at);
+            self.layers.push(Layer::new(&gpu.device, &self.layouts.layer, view.size));
+        }
+        let layer = &self.layers[at];
+        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some(NAMES[at]),
+            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                view: &layer.samples,
+                depth_slice: None,
+                resolve_target: Some(&layer.resolved),
+                ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT), store: wgpu::StoreOp::Discard },
+            })],
+            depth_stencil_attachment: Some(depth_attachment(&layer.depth, 0.0, wgpu::StoreOp::Discard)),
+            timestamp_writes: self.timer.pass(NAMES[at]),
+            ..wgpu::RenderPassDescriptor::default()
+        });
+        pass.set_bind_group(0, &self.resources.frame, &[at as u32 * VIEW_STRIDE]);
+        pass.set_bind_group(1, environment.bind_group(), &[]);
+        pass.set_bind_group(2, environment.reflection_bind_group(), &[]);
+        for draw in &self.stage.draws {
+            let Some(Ok(model)) = self.models.get(&draw.geometry) else { continue };
+            let Some(part) = model.parts.get(draw.part) else { continue };
+            pass.set_pipeline(if draw.double_sided { &self.pipelines.object_double_sided } else { &self.pipelines.object });
+            pass.set_bind_group(3, if draw.textured { &part.material } else { self.models.plain() }, &[]);
+            draw_part(&mut pass, part, draw);
+            report.draws += 1;
+        }
+        report.triangles += self.stage.triangles;
+        // After the objects, so that ground they cover is not shaded. From beneath there is no ground to see.
+        if view.camera.position.y > self.stage.ground_y {
+            pass.set_pipeline(&self.pipelines.ground);
+            pass.draw(0..4, 0..1);
+            report.draws += 1;
+            if report.plan.ground_hides {
+                pass.set_pipeline(&self.pipelines.horizon);
+                pass.draw(0..4, 0..1);
+                report.draws += 1;
+            }
+        }
+    }
+
+    fn composite(&mut self, encoder: &mut wgpu::CommandEncoder, environment: &Environment, (at, view): (usize, &View<'_>), drawn: bool, report: &mut FrameReport) {
+        const NAMES: [&str; MAX_VIEWS] = ["composite", "composite, view 2", "composite, view 3", "composite, view 4"];
+        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some(NAMES[at]),
+            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                view: view.target,
+                depth_slice: None,
+                resolve_target: None,
+                ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::BLACK), store: wgpu::StoreOp::Store },
+            })],
+            timestamp_writes: self.timer.pass(NAMES[at]),
+            ..wgpu::RenderPassDescriptor::default()
+        });
+        let layer = self.layers.get(at).filter(|_| drawn).map_or(&self.resources.no_layer, |layer| &layer.group);
+        pass.set_pipeline(&self.pipelines.composite);
+        pass.set_bind_group(0, &self.resources.frame, &[at as u32 * VIEW_STRIDE]);
+        pass.set_bind_group(1, environment.bind_group(), &[]);
+        pass.set_bind_group(2, layer, &[]);
+        pass.draw(0..3, 0..1);
+        report.draws += 1;
+    }
+}
+
+fn depth_attachment(view: &wgpu::TextureView, clear: f32, store: wgpu::StoreOp) -> wgpu::RenderPassDepthStencilAttachment<'_> {
+    let depth_ops = Some(wgpu::Operations { load: wgpu::LoadOp::Clear(clear), store });
+    wgpu::RenderPassDepthStencilAttachment { view, depth_ops, stencil_ops: None }
+}
+
+fn draw_part(pass: &mut wgpu::RenderPass<'_>, part: &models::GpuPart, draw: &stage::Draw) {
+    pass.set_vertex_buffer(0, part.vertices.slice(..));
+    pass.set_index_buffer(part.indices.slice(..), wgpu::IndexFormat::Uint32);
+    pass.draw_indexed(0..part.index_count, 0, draw.instances.clone());
+}
+
+/// The view's uniform.
+fn view_uniform(view: &View<'_>, format: wgpu::TextureFormat) -> layout::View {
+    let (width, height) = (view.size.0.max(1) as f32, view.size.1.max(1) as f32);
+    let aspect = width / height;
+    let camera = &view.camera;
+    let tan = (camera.fov_y_rad * 0.5).tan();
+    let axes = [Vec3::X * (tan * aspect), Vec3::Y * tan, Vec3::NEG_Z].map(|axis| (camera.world_from_view * axis).extend(0.0).to_array());
+    let eight_bits = matches!(format, wgpu::TextureFormat::Rgba8Unorm | wgpu::TextureFormat::Bgra8Unorm);
+    layout::View {
+        clip_from_world: (camera.clip_from_view(aspect) * camera.view_from_world()).to_cols_array_2d(),
+        world_from_ndc: axes,
+        position: camera.position.to_array(),
+        eye: u32::from(camera.right_eye),
+        size_px: [width, height],
+        encode_srgb: u32::from(eight_bits),
+        padding: 0,
+    }
+}

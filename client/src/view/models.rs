@@ -1,0 +1,167 @@
+//! Geometry on the GPU, once for each shape or model, whatever the number of objects that show it.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use glam::Vec3;
+use mr360_protocol::asset::AssetId;
+use mr360_protocol::scene::{Geometry, Scene, Shape};
+use wgpu::util::DeviceExt as _;
+
+use crate::gpu::Gpu;
+use crate::scene::material::{Surface, Texture};
+use crate::scene::mesh::{Bounds, Mesh};
+use crate::scene::model::{Model, ModelError};
+use crate::scene::shapes;
+
+/// One draw's worth of geometry.
+pub(super) struct GpuPart {
+    pub(super) vertices: wgpu::Buffer,
+    pub(super) indices: wgpu::Buffer,
+    pub(super) index_count: u32,
+    pub(super) surface: Surface,
+    /// The file's textures.
+    pub(super) material: wgpu::BindGroup,
+}
+
+/// A shape or a model.
+pub(super) struct GpuModel {
+    pub(super) parts: Vec<GpuPart>,
+    pub(super) bounds: Bounds,
+    /// A ball that fills its bounds.
+    pub(super) round: bool,
+    /// Mean reflectance of the file's surfaces.
+    pub(super) albedo: Vec3,
+}
+
+/// Everything that has been loaded and is still in the scene.
+pub(super) struct Models {
+    layout: wgpu::BindGroupLayout,
+    sampler: wgpu::Sampler,
+    white: wgpu::TextureView,
+    plain: wgpu::BindGroup,
+    loaded: HashMap<Geometry, Result<GpuModel, ModelError>>,
+}
+
+impl Models {
+    pub(super) fn new(gpu: &Gpu, layout: &wgpu::BindGroupLayout) -> Self {
+        let sampler = gpu.device.create_sampler(&wgpu::SamplerDescriptor {
+            label: Some("material"),
+            address_mode_u: wgpu::AddressMode::Repeat,
+            address_mode_v: wgpu::AddressMode::Repeat,
+            mag_filter: wgpu::FilterMode::Linear,
+            min_filter: wgpu::FilterMode::Linear,
+            mipmap_filter: wgpu::MipmapFilterMode::Linear,
+            ..wgpu::SamplerDescriptor::default()
+        });
+        let white = upload(gpu, &Texture { width: 1, height: 1, levels: vec![vec![255; 4]], srgb: false, mean: Vec3::ONE });
+        let plain = material_group(&gpu.device, layout, &white, &white, &sampler);
+        Self { layout: layout.clone(), sampler, white, plain, loaded: HashMap::new() }
+    }
+
+    /// Loads what the scene newly names and drops what it no longer does. A model whose asset has not come yet
+    /// is tried again at the next call; a broken one is not.
+    pub(super) fn follow(&mut self, gpu: &Gpu, scene: &Scene, asset: &dyn Fn(AssetId) -> Option<Arc<[u8]>>) {
+        self.loaded.retain(|geometry, _| scene.objects.iter().any(|object| object.geometry == *geometry));
+        for object in &scene.objects {
+            if self.loaded.contains_key(&object.geometry) {
+                continue;
+            }
+            let model = match object.geometry {
+                Geometry::Shape(shape) => Ok(self.shape(gpu, shape)),
+                Geometry::Model(id) => match asset(id) {
+                    Some(bytes) => Model::parse(&bytes).map(|model| self.model(gpu, model)),
+                    None => continue,
+                },
+            };
+            self.loaded.insert(object.geometry, model);
+        }
+    }
+
+    /// `None` while the asset has not come.
+    pub(super) fn get(&self, geometry: &Geometry) -> Option<Result<&GpuModel, &ModelError>> {
+        self.loaded.get(geometry).map(Result::as_ref)
+    }
+
+    /// Material group without textures.
+    pub(super) fn plain(&self) -> &wgpu::BindGroup {
+        &self.plain
+    }
+
+    fn shape(&self, gpu: &Gpu, shape: Shape) -> GpuModel {
+        let mesh = shapes::mesh(shape);
+        let surface = Surface {
+            base_color: Vec3::splat(0.8),
+            roughness: 1.0,
+            metallic: 0.0,
+            glass: false,
+            double_sided: shape == Shape::Plane,
+            base_color_texture: None,
+            metallic_roughness_texture: None,
+        };
+        let (bounds, albedo) = (mesh.bounds(), surface.base_color);
+        GpuModel { parts: vec![part(gpu, &mesh, surface, self.plain.clone())], bounds, round: shape == Shape::Sphere, albedo }
+    }
+
+    fn model(&self, gpu: &Gpu, model: Model) -> GpuModel {
+        let Model { parts, textures, bounds } = model;
+        let views: Vec<_> = textures.iter().map(|texture| upload(gpu, texture)).collect();
+        let view = |at: Option<usize>| at.and_then(|at| views.get(at)).unwrap_or(&self.white);
+        let mut albedo = Vec3::ZERO;
+        let mut gpu_parts = Vec::with_capacity(parts.len());
+        let total = parts.iter().map(|part| part.mesh.indices.len()).sum::<usize>().max(1) as f32;
+        for one in parts {
+            let mean = one.surface.base_color_texture.and_then(|at| textures.get(at)).map_or(Vec3::ONE, |texture| texture.mean);
+            albedo += one.surface.base_color * mean * (one.mesh.indices.len() as f32 / total);
+            let (color, metallic_roughness) = (view(one.surface.base_color_texture), view(one.surface.metallic_roughness_texture));
+            let group = material_group(&gpu.device, &self.layout, color, metallic_roughness, &self.sampler);
+            gpu_parts.push(part(gpu, &one.mesh, one.surface, group));
+        }
+        GpuModel { parts: gpu_parts, bounds, round: false, albedo }
+    }
+}
+
+fn part(gpu: &Gpu, mesh: &Mesh, surface: Surface, material: wgpu::BindGroup) -> GpuPart {
+    let buffer = |label, contents, usage| gpu.device.create_buffer_init(&wgpu::util::BufferInitDescriptor { label: Some(label), contents, usage });
+    GpuPart {
+        vertices: buffer("vertices", bytemuck::cast_slice(&mesh.vertices), wgpu::BufferUsages::VERTEX),
+        indices: buffer("indices", bytemuck::cast_slice(&mesh.indices), wgpu::BufferUsages::INDEX),
+        index_count: mesh.indices.len() as u32,
+        surface,
+        material,
+    }
+}
+
+fn upload(gpu: &Gpu, texture: &Texture) -> wgpu::TextureView {
+    let descriptor = wgpu::TextureDescriptor {
+        label: Some("model texture"),
+        size: wgpu::Extent3d { width: texture.width, height: texture.height, depth_or_array_layers: 1 },
+        mip_level_count: texture.levels.len() as u32,
+        sample_count: 1,
+        dimension: wgpu::TextureDimension::D2,
+        format: if texture.srgb { wgpu::TextureFormat::Rgba8UnormSrgb } else { wgpu::TextureFormat::Rgba8Unorm },
+        usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+        view_formats: &[],
+    };
+    let order = wgpu::util::TextureDataOrder::LayerMajor;
+    let made = gpu.device.create_texture_with_data(&gpu.queue, &descriptor, order, &texture.levels.concat());
+    made.create_view(&wgpu::TextureViewDescriptor::default())
+}
+
+fn material_group(
+    device: &wgpu::Device,
+    layout: &wgpu::BindGroupLayout,
+    base_color: &wgpu::TextureView,
+    metallic_roughness: &wgpu::TextureView,
+    sampler: &wgpu::Sampler,
+) -> wgpu::BindGroup {
+    device.create_bind_group(&wgpu::BindGroupDescriptor {
+        label: Some("material"),
+        layout,
+        entries: &[
+            wgpu::BindGroupEntry { binding: 0, resource: wgpu::BindingResource::TextureView(base_color) },
+            wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::TextureView(metallic_roughness) },
+            wgpu::BindGroupEntry { binding: 2, resource: wgpu::BindingResource::Sampler(sampler) },
+        ],
+    })
+}

@@ -1,0 +1,197 @@
+//! Bind group layouts and pipelines of the view passes.
+
+use mr360_shaders::layout::Vertex;
+use mr360_shaders::source::Module;
+
+use crate::environment::reflection::reflection_layout;
+use crate::environment::{sampler_entry, texture_entry, video_layout};
+use crate::gpu::{Gpu, GpuError};
+
+/// Linear radiance, premultiplied by coverage.
+pub(super) const LAYER_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
+/// Reversed: 1 near, 0 at infinity.
+pub(super) const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
+/// Samples a pixel of objects and ground.
+pub(super) const SAMPLES: u32 = 4;
+
+pub(super) struct Layouts {
+    /// Group 0 of what is drawn in the layer.
+    pub(super) frame: wgpu::BindGroupLayout,
+    /// Group 0 of the casters' pass: the same without the shadow maps it draws.
+    pub(super) casters: wgpu::BindGroupLayout,
+    /// Group 1 of the casters' pass.
+    pub(super) caster: wgpu::BindGroupLayout,
+    /// Group 2 of the composite.
+    pub(super) layer: wgpu::BindGroupLayout,
+    /// Group 3 of objects.
+    pub(super) material: wgpu::BindGroupLayout,
+}
+
+pub(super) struct Pipelines {
+    pub(super) object: wgpu::RenderPipeline,
+    pub(super) object_double_sided: wgpu::RenderPipeline,
+    pub(super) ground: wgpu::RenderPipeline,
+    pub(super) horizon: wgpu::RenderPipeline,
+    pub(super) caster: wgpu::RenderPipeline,
+    pub(super) composite: wgpu::RenderPipeline,
+}
+
+fn buffer_entry(binding: u32, ty: wgpu::BufferBindingType, has_dynamic_offset: bool) -> wgpu::BindGroupLayoutEntry {
+    let ty = wgpu::BindingType::Buffer { ty, has_dynamic_offset, min_binding_size: None };
+    wgpu::BindGroupLayoutEntry { binding, visibility: wgpu::ShaderStages::VERTEX_FRAGMENT, ty, count: None }
+}
+
+impl Layouts {
+    pub(super) fn new(device: &wgpu::Device) -> Self {
+        let storage = wgpu::BufferBindingType::Storage { read_only: true };
+        let uniform = wgpu::BufferBindingType::Uniform;
+        let shadow_maps = wgpu::BindGroupLayoutEntry {
+            ty: wgpu::BindingType::Texture {
+                sample_type: wgpu::TextureSampleType::Depth,
+                view_dimension: wgpu::TextureViewDimension::D2Array,
+                multisampled: false,
+            },
+            ..texture_entry(4)
+        };
+        let shadow_sampler =
+            wgpu::BindGroupLayoutEntry { ty: wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Comparison), ..sampler_entry(5) };
+        let make = |label, entries: &[_]| device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(label), entries });
+        let shared = [buffer_entry(0, uniform, true), buffer_entry(1, uniform, false), buffer_entry(2, storage, false), buffer_entry(3, storage, false)];
+        let [view, lighting, instances, occluders] = shared;
+        let unfiltered = wgpu::BindGroupLayoutEntry {
+            ty: wgpu::BindingType::Texture {
+                sample_type: wgpu::TextureSampleType::Float { filterable: false },
+                view_dimension: wgpu::TextureViewDimension::D2,
+                multisampled: false,
+            },
+            ..texture_entry(0)
+        };
+        Self {
+            frame: make("frame", &[view, lighting, instances, occluders, shadow_maps, shadow_sampler]),
+            casters: make("casters", &[instances]),
+            caster: make("caster", &[buffer_entry(0, uniform, true)]),
+            layer: make("layer", &[unfiltered]),
+            material: make("material", &[texture_entry(0), texture_entry(1), sampler_entry(2)]),
+        }
+    }
+}
+
+/// What differs between the pipelines.
+#[derive(Clone)]
+struct Recipe<'a> {
+    label: &'a str,
+    vertex: &'a str,
+    fragment: Option<(&'a str, wgpu::TextureFormat)>,
+    layouts: &'a [Option<&'a wgpu::BindGroupLayout>],
+    mesh: bool,
+    cull: Option<wgpu::Face>,
+    depth: Option<wgpu::DepthStencilState>,
+    samples: u32,
+}
+
+fn build(gpu: &Gpu, module: &wgpu::ShaderModule, recipe: &Recipe<'_>) -> wgpu::RenderPipeline {
+    let layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+        label: Some(recipe.label),
+        bind_group_layouts: recipe.layouts,
+        immediate_size: 0,
+    });
+    let attributes = wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x3, 2 => Float32x2];
+    let mesh = [Some(wgpu::VertexBufferLayout {
+        array_stride: size_of::<Vertex>() as u64,
+        step_mode: wgpu::VertexStepMode::Vertex,
+        attributes: &attributes,
+    })];
+    let targets: Vec<_> = recipe.fragment.iter().map(|(_, format)| Some(wgpu::ColorTargetState::from(*format))).collect();
+    let strip = !recipe.mesh && recipe.vertex != "vs_fullscreen";
+    let topology = if strip { wgpu::PrimitiveTopology::TriangleStrip } else { wgpu::PrimitiveTopology::TriangleList };
+    gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+        label: Some(recipe.label),
+        layout: Some(&layout),
+        vertex: wgpu::VertexState {
+            module,
+            entry_point: Some(recipe.vertex),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            buffers: if recipe.mesh { &mesh } else { &[] },
+        },
+        primitive: wgpu::PrimitiveState { topology, cull_mode: recipe.cull, ..wgpu::PrimitiveState::default() },
+        depth_stencil: recipe.depth.clone(),
+        multisample: wgpu::MultisampleState { count: recipe.samples, ..wgpu::MultisampleState::default() },
+        fragment: recipe.fragment.map(|(entry, _)| wgpu::FragmentState {
+            module,
+            entry_point: Some(entry),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            targets: &targets,
+        }),
+        multiview_mask: None,
+        cache: None,
+    })
+}
+
+fn depth(compare: wgpu::CompareFunction, bias: wgpu::DepthBiasState) -> wgpu::DepthStencilState {
+    wgpu::DepthStencilState {
+        format: DEPTH_FORMAT,
+        depth_write_enabled: Some(true),
+        depth_compare: Some(compare),
+        stencil: wgpu::StencilState::default(),
+        bias,
+    }
+}
+
+impl Pipelines {
+    pub(super) fn new(gpu: &Gpu, layouts: &Layouts, target: wgpu::TextureFormat) -> Result<Self, GpuError> {
+        let video = video_layout(&gpu.device);
+        let reflection = reflection_layout(&gpu.device);
+        let (object, ground) = (gpu.shader(Module::Object)?, gpu.shader(Module::Ground)?);
+        let nearer = |bias| Some(depth(wgpu::CompareFunction::Greater, bias));
+        let none = wgpu::DepthBiasState::default();
+        // The ground gives way to what lies flat on it.
+        let behind = wgpu::DepthBiasState { constant: -8, slope_scale: -2.0, clamp: 0.0 };
+        let object_recipe = Recipe {
+            label: "object",
+            vertex: "vs_object",
+            fragment: Some(("fs_object", LAYER_FORMAT)),
+            layouts: &[Some(&layouts.frame), Some(&video), Some(&reflection), Some(&layouts.material)],
+            mesh: true,
+            cull: Some(wgpu::Face::Back),
+            depth: nearer(none),
+            samples: SAMPLES,
+        };
+        let ground_recipe = Recipe {
+            label: "ground",
+            vertex: "vs_ground",
+            layouts: &[Some(&layouts.frame), Some(&video)],
+            fragment: Some(("fs_ground", LAYER_FORMAT)),
+            mesh: false,
+            depth: nearer(behind),
+            ..object_recipe.clone()
+        };
+        let casters = Recipe {
+            label: "caster",
+            vertex: "vs_caster",
+            fragment: None,
+            layouts: &[Some(&layouts.casters), Some(&layouts.caster)],
+            mesh: true,
+            cull: None,
+            depth: Some(depth(wgpu::CompareFunction::Less, wgpu::DepthBiasState { constant: 1, slope_scale: 1.0, clamp: 0.0 })),
+            samples: 1,
+        };
+        let composite = Recipe {
+            label: "composite",
+            vertex: "vs_fullscreen",
+            fragment: Some(("fs_composite", target)),
+            layouts: &[Some(&layouts.frame), Some(&video), Some(&layouts.layer)],
+            mesh: false,
+            cull: None,
+            depth: None,
+            samples: 1,
+        };
+        Ok(Self {
+            object_double_sided: build(gpu, &object, &Recipe { label: "object, both sides", cull: None, ..object_recipe.clone() }),
+            object: build(gpu, &object, &object_recipe),
+            horizon: build(gpu, &ground, &Recipe { label: "horizon", vertex: "vs_horizon", fragment: Some(("fs_horizon", LAYER_FORMAT)), ..ground_recipe.clone() }),
+            ground: build(gpu, &ground, &ground_recipe),
+            caster: build(gpu, &gpu.shader(Module::Caster)?, &casters),
+            composite: build(gpu, &gpu.shader(Module::Composite)?, &composite),
+        })
+    }
+}

@@ -1,0 +1,88 @@
+//! What a frame needs: which passes run at all. Decided from the scene and the light, in one place.
+
+use mr360_shaders::source::ROUGH_TO;
+
+use crate::environment::FrameLight;
+use crate::environment::light::luminance;
+
+/// Most lights that cast shadows.
+pub const MAX_SHADOWS: usize = 4;
+/// A light casts shadows from this share of the frame's whole irradiance on.
+const SHADOW_SHARE: f32 = 0.02;
+
+/// The passes of one frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Plan {
+    /// Anything is drawn over the video.
+    pub objects: bool,
+    /// The reflection map is kept up to date.
+    pub reflections: bool,
+    /// The strongest this many lights cast shadows.
+    pub shadows: usize,
+    /// Something reaches beneath the ground and has to be hidden there.
+    pub ground_hides: bool,
+}
+
+/// What the plan asks of the scene.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct SceneNeeds {
+    /// Objects drawn.
+    pub objects: usize,
+    /// Some surface is smooth enough to reflect, or is glass.
+    pub reflective: bool,
+    /// Some object reaches beneath the ground.
+    pub beneath_ground: bool,
+}
+
+impl Plan {
+    /// Decides.
+    #[must_use]
+    pub fn new(scene: SceneNeeds, light: &FrameLight) -> Self {
+        if scene.objects == 0 {
+            return Self::default();
+        }
+        let ambient = luminance(light.sh[0]).max(0.0) * 0.282_094_8 * std::f32::consts::PI;
+        let shares: Vec<f32> = light.lights.iter().map(|light| luminance(light.irradiance).max(0.0)).collect();
+        let total = ambient + shares.iter().sum::<f32>();
+        let shadows = shares.iter().take(MAX_SHADOWS).take_while(|share| **share > 0.0 && **share >= SHADOW_SHARE * total).count();
+        Self { objects: true, reflections: scene.reflective, shadows, ground_hides: scene.beneath_ground }
+    }
+}
+
+/// True where the shaders look into the reflection map.
+#[must_use]
+pub fn reflects(roughness: f32, glass: bool) -> bool {
+    glass || roughness < ROUGH_TO
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::Vec3;
+    use mr360_protocol::light::DirectionalLight;
+
+    fn light(irradiances: &[f32]) -> FrameLight {
+        let mut light = FrameLight::default();
+        light.sh[0] = Vec3::splat(1.0);
+        let one = |(id, irradiance): (usize, &f32)| DirectionalLight { id: id as u32, direction: Vec3::Y, irradiance: Vec3::splat(*irradiance), solid_angle_sr: 0.01 };
+        light.lights = irradiances.iter().enumerate().map(one).collect();
+        light
+    }
+
+    #[test]
+    fn an_overcast_sky_on_diffuse_objects_runs_nothing_extra() {
+        let needs = SceneNeeds { objects: 3, ..SceneNeeds::default() };
+        assert_eq!(Plan::new(needs, &light(&[])), Plan { objects: true, ..Plan::default() });
+        let mirror = SceneNeeds { reflective: true, ..needs };
+        assert_eq!(Plan::new(mirror, &light(&[])), Plan { objects: true, reflections: true, ..Plan::default() });
+        assert_eq!(Plan::new(SceneNeeds::default(), &light(&[5.0])), Plan::default());
+    }
+
+    #[test]
+    fn strong_lights_cast_shadows_and_weak_ones_do_not() {
+        let needs = SceneNeeds { objects: 1, ..SceneNeeds::default() };
+        assert_eq!(Plan::new(needs, &light(&[3.0, 0.5, 0.001])).shadows, 2);
+        assert_eq!(Plan::new(needs, &light(&[1.0; 6])).shadows, MAX_SHADOWS);
+        assert!(reflects(0.0, false) && reflects(1.0, true) && !reflects(1.0, false));
+    }
+}

@@ -1,0 +1,220 @@
+//! Buffers, shadow maps and render targets of the view passes.
+
+use bytemuck::Zeroable;
+use glam::{Mat4, Vec3};
+use mr360_protocol::light::DirectionalLight;
+use mr360_shaders::layout;
+
+use super::pipelines::{DEPTH_FORMAT, LAYER_FORMAT, Layouts, SAMPLES};
+use super::plan::MAX_SHADOWS;
+use super::shadows::{Frustum, LONGEST_SHADOW_M, SHADOW_SIZE, fit};
+use super::stage::{MAX_OCCLUDERS, Stage};
+use super::{MAX_VIEWS, View, view_uniform};
+use crate::environment::FrameLight;
+use crate::environment::light::tan_radius;
+use crate::gpu::Gpu;
+
+/// Bytes from one view's uniform to the next: WebGPU's alignment of dynamic offsets.
+pub(super) const VIEW_STRIDE: u32 = 256;
+
+/// Everything that lives as long as the renderer, whatever is drawn.
+pub(super) struct Resources {
+    views: wgpu::Buffer,
+    lighting: wgpu::Buffer,
+    instances: wgpu::Buffer,
+    occluders: wgpu::Buffer,
+    casters: wgpu::Buffer,
+    shadow_maps: wgpu::TextureView,
+    shadow_sampler: wgpu::Sampler,
+    pub(super) shadow_layers: Vec<wgpu::TextureView>,
+    pub(super) frame: wgpu::BindGroup,
+    pub(super) caster_instances: wgpu::BindGroup,
+    pub(super) caster_views: wgpu::BindGroup,
+    pub(super) no_layer: wgpu::BindGroup,
+}
+
+fn buffer(device: &wgpu::Device, label: &str, size: usize, usage: wgpu::BufferUsages) -> wgpu::Buffer {
+    let usage = usage | wgpu::BufferUsages::COPY_DST;
+    device.create_buffer(&wgpu::BufferDescriptor { label: Some(label), size: size as u64, usage, mapped_at_creation: false })
+}
+
+fn texture(device: &wgpu::Device, label: &str, (width, height): (u32, u32), layers: u32, samples: u32, format: wgpu::TextureFormat, usage: wgpu::TextureUsages) -> wgpu::Texture {
+    device.create_texture(&wgpu::TextureDescriptor {
+        label: Some(label),
+        size: wgpu::Extent3d { width: width.max(1), height: height.max(1), depth_or_array_layers: layers },
+        mip_level_count: 1,
+        sample_count: samples,
+        dimension: wgpu::TextureDimension::D2,
+        format,
+        usage,
+        view_formats: &[],
+    })
+}
+
+impl Resources {
+    pub(super) fn new(device: &wgpu::Device, layouts: &Layouts) -> Self {
+        let views = buffer(device, "views", MAX_VIEWS * VIEW_STRIDE as usize, wgpu::BufferUsages::UNIFORM);
+        let lighting = buffer(device, "lighting", size_of::<layout::Lighting>(), wgpu::BufferUsages::UNIFORM);
+        let instances = buffer(device, "instances", size_of::<layout::Instance>() * 16, wgpu::BufferUsages::STORAGE);
+        let occluders = buffer(device, "occluders", size_of::<layout::Occluder>() * MAX_OCCLUDERS, wgpu::BufferUsages::STORAGE);
+        let casters = buffer(device, "casters", MAX_SHADOWS * VIEW_STRIDE as usize, wgpu::BufferUsages::UNIFORM);
+        let attachment = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
+        let maps = texture(device, "shadow maps", (SHADOW_SIZE, SHADOW_SIZE), MAX_SHADOWS as u32, 1, DEPTH_FORMAT, attachment);
+        let shadow_maps = maps.create_view(&wgpu::TextureViewDescriptor { dimension: Some(wgpu::TextureViewDimension::D2Array), ..Default::default() });
+        let layer = |base_array_layer| {
+            let dimension = Some(wgpu::TextureViewDimension::D2);
+            maps.create_view(&wgpu::TextureViewDescriptor { dimension, base_array_layer, array_layer_count: Some(1), ..Default::default() })
+        };
+        let shadow_layers = (0..MAX_SHADOWS as u32).map(layer).collect();
+        let shadow_sampler = device.create_sampler(&wgpu::SamplerDescriptor {
+            label: Some("shadow"),
+            mag_filter: wgpu::FilterMode::Linear,
+            min_filter: wgpu::FilterMode::Linear,
+            compare: Some(wgpu::CompareFunction::LessEqual),
+            ..Default::default()
+        });
+        let caster_views = device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("casters"),
+            layout: &layouts.caster,
+            entries: &[wgpu::BindGroupEntry { binding: 0, resource: slot(&casters, size_of::<layout::Caster>()) }],
+        });
+        // A fresh texture is zero: nothing drawn.
+        let empty = texture(device, "no layer", (1, 1), 1, 1, LAYER_FORMAT, wgpu::TextureUsages::TEXTURE_BINDING);
+        let no_layer = layer_group(device, &layouts.layer, &empty.create_view(&wgpu::TextureViewDescriptor::default()));
+        let shared = (&views, &lighting, &instances, &occluders);
+        let frame = frame_group(device, &layouts.frame, shared, &shadow_maps, &shadow_sampler);
+        let caster_instances = instances_group(device, &layouts.casters, &instances);
+        Self { views, lighting, instances, occluders, casters, shadow_maps, shadow_sampler, shadow_layers, frame, caster_instances, caster_views, no_layer }
+    }
+
+    /// Writes what stays until the scene changes.
+    pub(super) fn write_scene(&mut self, gpu: &Gpu, layouts: &Layouts, stage: &Stage) {
+        let bytes: &[u8] = bytemuck::cast_slice(&stage.instances);
+        if bytes.len() as u64 > self.instances.size() {
+            self.instances = buffer(&gpu.device, "instances", bytes.len().next_power_of_two(), wgpu::BufferUsages::STORAGE);
+            let shared = (&self.views, &self.lighting, &self.instances, &self.occluders);
+            self.frame = frame_group(&gpu.device, &layouts.frame, shared, &self.shadow_maps, &self.shadow_sampler);
+            self.caster_instances = instances_group(&gpu.device, &layouts.casters, &self.instances);
+        }
+        gpu.queue.write_buffer(&self.instances, 0, bytes);
+        gpu.queue.write_buffer(&self.occluders, 0, bytemuck::cast_slice(&stage.occluders));
+    }
+
+    /// The frustum of one light over the casters, with room for the widest penumbra on the ground.
+    pub(super) fn frustum(&self, light: &DirectionalLight, stage: &Stage) -> Frustum {
+        let highest = stage.casters.iter().map(|caster| caster.max.y - stage.ground_y).fold(0.0, f32::max);
+        let fall = (highest / light.direction.y.max(0.05)).min(LONGEST_SHADOW_M);
+        fit(light.direction, &stage.casters, tan_radius(light.solid_angle_sr) * fall)
+    }
+
+    /// Writes what changes with the light: lighting, and the casters' views.
+    pub(super) fn write_frame(&self, gpu: &Gpu, stage: &Stage, light: &FrameLight, frusta: &[Frustum]) {
+        for (at, frustum) in frusta.iter().enumerate() {
+            let caster = layout::Caster { clip_from_world: frustum.clip_from_world.to_cols_array_2d() };
+            gpu.queue.write_buffer(&self.casters, at as u64 * u64::from(VIEW_STRIDE), bytemuck::bytes_of(&caster));
+        }
+        gpu.queue.write_buffer(&self.lighting, 0, bytemuck::bytes_of(&lighting(stage, light, frusta)));
+    }
+
+    pub(super) fn write_view(&self, gpu: &Gpu, at: usize, view: &View<'_>, format: wgpu::TextureFormat) {
+        gpu.queue.write_buffer(&self.views, at as u64 * u64::from(VIEW_STRIDE), bytemuck::bytes_of(&view_uniform(view, format)));
+    }
+}
+
+fn lighting(stage: &Stage, light: &FrameLight, frusta: &[Frustum]) -> layout::Lighting {
+    let mut out = layout::Lighting {
+        sh: light.sh.map(|c| c.extend(0.0).to_array()),
+        disc: disc(),
+        ground_y: stage.ground_y,
+        sh_count: light.sh_count as u32,
+        light_count: light.lights.len() as u32,
+        occluder_count: stage.occluders.len() as u32,
+        ..layout::Lighting::zeroed()
+    };
+    if let Some(ground) = stage.changed_ground(light, frusta.len()) {
+        (out.ground_min, out.ground_max) = ([ground.min.x, ground.min.z], [ground.max.x, ground.max.z]);
+    }
+    for (at, (to, light)) in out.lights.iter_mut().zip(&light.lights).enumerate() {
+        let frustum = frusta.get(at);
+        *to = layout::Light {
+            shadow_from_world: frustum.map_or(Mat4::IDENTITY, |f| f.shadow_from_world).to_cols_array_2d(),
+            direction: light.direction.to_array(),
+            tan_radius: tan_radius(light.solid_angle_sr),
+            irradiance: light.irradiance.max(Vec3::ZERO).to_array(),
+            shadow_layer: frustum.map_or(-1, |_| at as i32),
+            shadow_half_width_m: frustum.map_or(1.0, |f| f.half_width_m),
+            shadow_range_m: frustum.map_or(1.0, |f| f.range_m),
+            padding: [0.0; 2],
+        };
+    }
+    out
+}
+
+/// Points spread evenly over the unit disc (Vogel 1979).
+fn disc() -> [[f32; 4]; layout::DISC_POINTS] {
+    let golden_angle = std::f32::consts::PI * (3.0 - 5.0f32.sqrt());
+    std::array::from_fn(|i| {
+        let radius = ((i as f32 + 0.5) / layout::DISC_POINTS as f32).sqrt();
+        let (sine, cosine) = (i as f32 * golden_angle).sin_cos();
+        [radius * cosine, radius * sine, 0.0, 0.0]
+    })
+}
+
+fn slot(buffer: &wgpu::Buffer, size: usize) -> wgpu::BindingResource<'_> {
+    wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer, offset: 0, size: wgpu::BufferSize::new(size as u64) })
+}
+
+fn frame_group(
+    device: &wgpu::Device,
+    layout: &wgpu::BindGroupLayout,
+    (views, lighting, instances, occluders): (&wgpu::Buffer, &wgpu::Buffer, &wgpu::Buffer, &wgpu::Buffer),
+    shadow_maps: &wgpu::TextureView,
+    shadow_sampler: &wgpu::Sampler,
+) -> wgpu::BindGroup {
+    device.create_bind_group(&wgpu::BindGroupDescriptor {
+        label: Some("frame"),
+        layout,
+        entries: &[
+            wgpu::BindGroupEntry { binding: 0, resource: slot(views, size_of::<layout::View>()) },
+            wgpu::BindGroupEntry { binding: 1, resource: lighting.as_entire_binding() },
+            wgpu::BindGroupEntry { binding: 2, resource: instances.as_entire_binding() },
+            wgpu::BindGroupEntry { binding: 3, resource: occluders.as_entire_binding() },
+            wgpu::BindGroupEntry { binding: 4, resource: wgpu::BindingResource::TextureView(shadow_maps) },
+            wgpu::BindGroupEntry { binding: 5, resource: wgpu::BindingResource::Sampler(shadow_sampler) },
+        ],
+    })
+}
+
+fn instances_group(device: &wgpu::Device, layout: &wgpu::BindGroupLayout, instances: &wgpu::Buffer) -> wgpu::BindGroup {
+    let entries = &[wgpu::BindGroupEntry { binding: 2, resource: instances.as_entire_binding() }];
+    device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some("instances"), layout, entries })
+}
+
+fn layer_group(device: &wgpu::Device, layout: &wgpu::BindGroupLayout, layer: &wgpu::TextureView) -> wgpu::BindGroup {
+    let entries = &[wgpu::BindGroupEntry { binding: 0, resource: wgpu::BindingResource::TextureView(layer) }];
+    device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some("layer"), layout, entries })
+}
+
+/// Targets of one view's objects and ground.
+pub(super) struct Layer {
+    pub(super) size: (u32, u32),
+    pub(super) samples: wgpu::TextureView,
+    pub(super) resolved: wgpu::TextureView,
+    pub(super) depth: wgpu::TextureView,
+    pub(super) group: wgpu::BindGroup,
+}
+
+impl Layer {
+    pub(super) fn new(device: &wgpu::Device, layout: &wgpu::BindGroupLayout, size: (u32, u32)) -> Self {
+        let attachment = wgpu::TextureUsages::RENDER_ATTACHMENT;
+        let view = |label, samples, format, usage| texture(device, label, size, 1, samples, format, usage).create_view(&wgpu::TextureViewDescriptor::default());
+        let resolved = view("layer", 1, LAYER_FORMAT, attachment | wgpu::TextureUsages::TEXTURE_BINDING);
+        Self {
+            size,
+            samples: view("layer samples", SAMPLES, LAYER_FORMAT, attachment),
+            depth: view("layer depth", SAMPLES, DEPTH_FORMAT, attachment),
+            group: layer_group(device, layout, &resolved),
+            resolved,
+        }
+    }
+}

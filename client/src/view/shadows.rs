@@ -1,0 +1,91 @@
+//! Orthographic frusta of the shadow maps, fitted to the objects that cast.
+
+use glam::{Mat3, Mat4, Vec3, Vec4};
+
+use crate::scene::mesh::Bounds;
+
+/// Texels on a side of a shadow map.
+pub const SHADOW_SIZE: u32 = 1024;
+/// Shadows on the ground end at this distance from their caster, metres.
+pub const LONGEST_SHADOW_M: f32 = 60.0;
+
+/// One light's view of the casters.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Frustum {
+    /// x, y in [−1, 1], z in metres from the plane nearest to the light.
+    pub shadow_from_world: Mat4,
+    /// The same with z in [0, 1].
+    pub clip_from_world: Mat4,
+    /// Half the side of the square it covers, metres.
+    pub half_width_m: f32,
+    /// Metres from depth 0 to depth 1.
+    pub range_m: f32,
+}
+
+/// Fits a frustum around the casters' boxes as seen from the light. Receivers need not lie within: outside of the
+/// square nothing can hide the light, and depth beyond the range counts as its end. `margin_m` is room for penumbrae.
+///
+/// The basis hangs on the light alone, so that turning the camera moves no texel.
+#[must_use]
+pub fn fit(direction: Vec3, casters: &[Bounds], margin_m: f32) -> Frustum {
+    let (right, up) = direction.any_orthonormal_pair();
+    let light_from_world = Mat3::from_cols(right, up, direction).transpose();
+    let seen = casters.iter().flat_map(Bounds::corners).fold(Bounds::EMPTY, |b, corner| b.including(light_from_world * corner));
+    let (center, half) = (seen.center(), seen.half());
+    let half_width_m = half.x.max(half.y).max(1e-3) + margin_m;
+    let range_m = (2.0 * half.z).max(1e-3) * 1.02;
+    let nearest = center.z + half.z * 1.02;
+    // Rows: x and y of the light's plane over the half width; z counts away from the light.
+    let rows = [
+        (right / half_width_m).extend(-center.x / half_width_m),
+        (up / half_width_m).extend(-center.y / half_width_m),
+        (-direction).extend(nearest),
+        Vec4::W,
+    ];
+    let shadow_from_world = Mat4::from_cols(rows[0], rows[1], rows[2], rows[3]).transpose();
+    let clip_from_world = Mat4::from_scale(Vec3::new(1.0, 1.0, 1.0 / range_m)) * shadow_from_world;
+    Frustum { shadow_from_world, clip_from_world, half_width_m, range_m }
+}
+
+/// The part of the ground, as corners (x, z), that a ball's shadow can fall on; `None` for a light at or below
+/// the horizon, or a ball beneath the ground.
+#[must_use]
+pub fn ground_shadow(direction: Vec3, tan_radius: f32, center: Vec3, radius: f32, ground_y: f32) -> Option<Bounds> {
+    let height = center.y + radius - ground_y;
+    if direction.y <= 1e-3 || height <= 0.0 {
+        return None;
+    }
+    let farthest = (height / direction.y).min(LONGEST_SHADOW_M);
+    let spread = radius / direction.y.max(0.1) + tan_radius * farthest;
+    let bottom = ((center.y - radius - ground_y).max(0.0) / direction.y).min(LONGEST_SHADOW_M);
+    let ends = [center - direction * bottom, center - direction * farthest];
+    Some(ends.iter().fold(Bounds::EMPTY, |bounds, end| bounds.including(*end - Vec3::splat(spread)).including(*end + Vec3::splat(spread))))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn casters_lie_within_and_depth_grows_away_from_the_light() {
+        let casters = [Bounds { min: Vec3::new(1.0, -1.6, -4.0), max: Vec3::new(2.0, 0.4, -3.0) }, Bounds { min: Vec3::splat(-0.5), max: Vec3::splat(0.5) }];
+        for direction in [Vec3::Y, Vec3::new(0.6, 0.48, -0.64), Vec3::NEG_Z, Vec3::new(0.01, -0.99, 0.0).normalize()] {
+            let frustum = fit(direction, &casters, 0.1);
+            for corner in casters.iter().flat_map(Bounds::corners) {
+                let at = frustum.clip_from_world.transform_point3(corner);
+                assert!(at.x.abs() < 1.0 && at.y.abs() < 1.0 && (0.0..=1.0).contains(&at.z), "{direction}: {at}");
+                let beyond = frustum.shadow_from_world.transform_point3(corner - direction);
+                let here = frustum.shadow_from_world.transform_point3(corner);
+                assert!((beyond.z - here.z - 1.0).abs() < 1e-4 && (beyond - here).truncate().length() < 1e-4);
+            }
+        }
+    }
+
+    #[test]
+    fn a_shadow_falls_away_from_the_light() {
+        let bounds = ground_shadow(Vec3::new(0.8, 0.6, 0.0), 0.0, Vec3::new(0.0, 1.0, 0.0), 0.5, 0.0).unwrap();
+        assert!(bounds.min.x < -1.3 && bounds.max.x < 0.5, "{bounds:?}");
+        assert_eq!(ground_shadow(Vec3::new(1.0, 0.0, 0.0), 0.0, Vec3::Y, 0.5, 0.0), None);
+        assert_eq!(ground_shadow(Vec3::Y, 0.0, Vec3::NEG_Y, 0.5, 0.0), None);
+    }
+}

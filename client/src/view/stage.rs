@@ -1,0 +1,226 @@
+//! The scene laid out for drawing: instances in draw order, what casts, what occludes, what can be picked.
+
+use std::ops::Range;
+
+use glam::{Mat3, Mat4, Vec3};
+use mr360_protocol::asset::AssetId;
+use mr360_protocol::scene::{Geometry, Material, MaterialKind, Object, ObjectId, Scene};
+use mr360_shaders::layout;
+use mr360_shaders::source::OCCLUDER_REACH;
+
+use super::models::{GpuModel, GpuPart, Models};
+use super::plan::{SceneNeeds, reflects};
+use super::shadows::ground_shadow;
+use crate::environment::FrameLight;
+use crate::environment::light::tan_radius;
+use crate::scene::mesh::Bounds;
+use crate::scene::model::ModelError;
+use crate::scene::occluder;
+use crate::scene::pick::Target;
+
+/// Most drawn parts of all objects together.
+const MAX_INSTANCES: usize = 65_536;
+/// Most occluding spheres; scenes that need more get one for each object, then the largest.
+pub(super) const MAX_OCCLUDERS: usize = 64;
+
+/// An object that is left out of the picture, and why.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("object {} is not drawn: model {model}: {fault}", .object.0)]
+pub struct SceneWarning {
+    /// Which object.
+    pub object: ObjectId,
+    /// Its model.
+    pub model: AssetId,
+    /// What is wrong with it.
+    pub fault: ModelFault,
+}
+
+/// Why a model is not drawn.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ModelFault {
+    /// Not here yet; it is tried again when the scene is set again.
+    #[error("has not arrived yet")]
+    Missing,
+    /// Refused.
+    #[error(transparent)]
+    Broken(ModelError),
+    /// The scene is full.
+    #[error("the scene draws more than {MAX_INSTANCES} parts; use simpler models or fewer objects")]
+    TooManyParts,
+}
+
+/// One draw call.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Draw {
+    pub(super) geometry: Geometry,
+    pub(super) part: usize,
+    pub(super) instances: Range<u32>,
+    /// With the textures of the model's file.
+    pub(super) textured: bool,
+    pub(super) double_sided: bool,
+}
+
+/// What is drawn until the scene changes.
+#[derive(Default)]
+pub(super) struct Stage {
+    pub(super) instances: Vec<layout::Instance>,
+    pub(super) draws: Vec<Draw>,
+    pub(super) occluders: Vec<layout::Occluder>,
+    pub(super) casters: Vec<Bounds>,
+    pub(super) targets: Vec<Target>,
+    pub(super) needs: SceneNeeds,
+    pub(super) ground_y: f32,
+    pub(super) triangles: u64,
+}
+
+struct Placed<'a> {
+    object: &'a Object,
+    model: &'a GpuModel,
+    world_from_object: Mat4,
+}
+
+impl Stage {
+    /// Lays out the scene; objects whose model is missing or broken are left out, each with a warning.
+    pub(super) fn new(scene: &Scene, models: &Models) -> (Self, Vec<SceneWarning>) {
+        let mut warnings = Vec::new();
+        let mut placed = Vec::with_capacity(scene.objects.len());
+        let mut parts = 0;
+        for object in &scene.objects {
+            let fault = match models.get(&object.geometry) {
+                Some(Ok(model)) if parts + model.parts.len() <= MAX_INSTANCES => {
+                    parts += model.parts.len();
+                    let transform = object.transform;
+                    let world_from_object = Mat4::from_scale_rotation_translation(transform.scale, transform.rotation, transform.position);
+                    placed.push(Placed { object, model, world_from_object });
+                    continue;
+                }
+                Some(Ok(_)) => ModelFault::TooManyParts,
+                Some(Err(error)) => ModelFault::Broken(error.clone()),
+                None => ModelFault::Missing,
+            };
+            if let Geometry::Model(model) = object.geometry {
+                warnings.push(SceneWarning { object: object.id, model, fault });
+            }
+        }
+        // Objects of the same geometry share draws; those with a material of their own use none of its textures.
+        placed.sort_by_key(|p| (geometry_key(&p.object.geometry), p.object.material.is_some()));
+        let mut stage = Self { ground_y: scene.ground_y, ..Self::default() };
+        for run in placed.chunk_by(|a, b| a.object.geometry == b.object.geometry && a.object.material.is_some() == b.object.material.is_some()) {
+            stage.add_run(run);
+        }
+        stage.occluders = occluders(&placed);
+        stage.needs.objects = placed.len();
+        (stage, warnings)
+    }
+
+    fn add_run(&mut self, run: &[Placed<'_>]) {
+        let Some(first) = run.first() else { return };
+        for (at, part) in first.model.parts.iter().enumerate() {
+            let start = self.instances.len() as u32;
+            self.instances.extend(run.iter().map(|placed| instance(placed, part)));
+            let textured = first.object.material.is_none();
+            let used = &self.instances[start as usize..];
+            let varies = textured && part.surface.metallic_roughness_texture.is_some();
+            self.needs.reflective |= varies || used.iter().any(|i| reflects(i.roughness, i.glass == 1));
+            self.draws.push(Draw {
+                geometry: first.object.geometry,
+                part: at,
+                instances: start..self.instances.len() as u32,
+                textured,
+                double_sided: part.surface.double_sided,
+            });
+            self.triangles += u64::from(part.index_count / 3) * run.len() as u64;
+        }
+        for placed in run {
+            let corners = placed.model.bounds.corners().map(|corner| placed.world_from_object.transform_point3(corner));
+            let world = corners.into_iter().fold(Bounds::EMPTY, Bounds::including);
+            // A millimetre: what stands on the ground by its bounds does not reach beneath it.
+            self.needs.beneath_ground |= world.min.y < self.ground_y - 1e-3;
+            self.casters.push(world);
+            let shape = match placed.object.geometry {
+                Geometry::Shape(shape) => Some(shape),
+                Geometry::Model(_) => None,
+            };
+            self.targets.push(Target { id: placed.object.id, transform: placed.object.transform, bounds: placed.model.bounds, shape });
+        }
+    }
+
+    /// The part of the ground, in x and z, that objects can change under this light: their occluders' reach and
+    /// the shadows of the first `shadows` lights.
+    pub(super) fn changed_ground(&self, light: &FrameLight, shadows: usize) -> Option<Bounds> {
+        let mut changed: Option<Bounds> = None;
+        let mut add = |bounds: Bounds| changed = Some(changed.map_or(bounds, |all| all.including(bounds.min).including(bounds.max)));
+        for occluder in &self.occluders {
+            let center = Vec3::from_array(occluder.center);
+            let (reach, height) = (occluder.radius * OCCLUDER_REACH, (center.y - self.ground_y).abs());
+            if height < reach {
+                let across = Vec3::splat((reach * reach - height * height).sqrt());
+                add(Bounds { min: center - across, max: center + across });
+            }
+        }
+        for light in light.lights.iter().take(shadows) {
+            let tan_radius = tan_radius(light.solid_angle_sr);
+            for caster in &self.casters {
+                if let Some(bounds) = ground_shadow(light.direction, tan_radius, caster.center(), caster.half().length(), self.ground_y) {
+                    add(bounds);
+                }
+            }
+        }
+        changed
+    }
+}
+
+/// An order that keeps equal geometries together.
+fn geometry_key(geometry: &Geometry) -> (u8, Option<AssetId>) {
+    match geometry {
+        Geometry::Shape(shape) => (*shape as u8, None),
+        Geometry::Model(id) => (u8::MAX, Some(*id)),
+    }
+}
+
+fn instance(placed: &Placed<'_>, part: &GpuPart) -> layout::Instance {
+    let surface = &part.surface;
+    let own = placed.object.material.unwrap_or(Material {
+        base_color: surface.base_color.to_array(),
+        roughness: surface.roughness,
+        metallic: surface.metallic,
+        kind: if surface.glass { MaterialKind::Glass } else { MaterialKind::Opaque },
+    });
+    let normals = Mat3::from_mat4(placed.world_from_object).inverse().transpose();
+    layout::Instance {
+        world_from_object: placed.world_from_object.to_cols_array_2d(),
+        normal_from_object: normals.to_cols_array_2d().map(|[x, y, z]| [x, y, z, 0.0]),
+        base_color: own.base_color,
+        roughness: own.roughness,
+        metallic: own.metallic,
+        glass: u32::from(own.kind == MaterialKind::Glass),
+        object: placed.object.id.0,
+        padding: 0,
+    }
+}
+
+fn occluders(placed: &[Placed<'_>]) -> Vec<layout::Occluder> {
+    let spheres_of = |placed: &Placed<'_>, detailed: bool| {
+        let (transform, model) = (placed.object.transform, placed.model);
+        let spheres = if detailed {
+            occluder::cover(&model.bounds, transform.scale, model.round)
+        } else {
+            vec![occluder::single(&model.bounds, transform.scale)]
+        };
+        let albedo = placed.object.material.map_or(model.albedo, |material| Vec3::from_array(material.base_color));
+        let object = placed.object.id.0;
+        spheres.into_iter().map(move |sphere| layout::Occluder {
+            center: (transform.position + transform.rotation * sphere.center).to_array(),
+            radius: sphere.radius,
+            albedo: albedo.to_array(),
+            object,
+        })
+    };
+    let mut all: Vec<_> = placed.iter().flat_map(|p| spheres_of(p, true)).collect();
+    if all.len() > MAX_OCCLUDERS {
+        all = placed.iter().flat_map(|p| spheres_of(p, false)).collect();
+        all.sort_by(|a, b| b.radius.total_cmp(&a.radius));
+        all.truncate(MAX_OCCLUDERS);
+    }
+    all
+}

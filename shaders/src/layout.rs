@@ -1,0 +1,275 @@
+//! Rust mirrors of the structs in `shaders/wgsl`, field by field in the same order.
+//!
+//! The tests compare every offset and size with what the shader compiler makes of the WGSL.
+
+use bytemuck::{Pod, Zeroable};
+
+/// Most lights that shade a surface one by one.
+pub const SHADED_LIGHTS: usize = 8;
+/// Points of the disc that soft shadows and glossy lobes are sampled with.
+pub const DISC_POINTS: usize = 16;
+
+/// `View`: one eye's camera.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+pub struct View {
+    /// Columns.
+    pub clip_from_world: [[f32; 4]; 4],
+    /// Columns; the fourth float pads.
+    pub world_from_ndc: [[f32; 4]; 3],
+    /// Metres.
+    pub position: [f32; 3],
+    /// 0 left, 1 right.
+    pub eye: u32,
+    /// Pixels.
+    pub size_px: [f32; 2],
+    /// 1 where the shader encodes sRGB.
+    pub encode_srgb: u32,
+    /// Unused.
+    pub padding: u32,
+}
+
+/// `Light`: one directional light.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+pub struct Light {
+    /// Columns.
+    pub shadow_from_world: [[f32; 4]; 4],
+    /// Unit vector towards the light.
+    pub direction: [f32; 3],
+    /// Tangent of half the cone.
+    pub tan_radius: f32,
+    /// Irradiance on a facing surface.
+    pub irradiance: [f32; 3],
+    /// Layer of the shadow map; negative for none.
+    pub shadow_layer: i32,
+    /// Metres.
+    pub shadow_half_width_m: f32,
+    /// Metres.
+    pub shadow_range_m: f32,
+    /// Unused.
+    pub padding: [f32; 2],
+}
+
+/// `Lighting`: the light of the frame and what it needs to know of the scene.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+pub struct Lighting {
+    /// RGB and a pad.
+    pub sh: [[f32; 4]; 25],
+    /// x, y and pads.
+    pub disc: [[f32; 4]; DISC_POINTS],
+    /// Strongest first.
+    pub lights: [Light; SHADED_LIGHTS],
+    /// x and z, metres.
+    pub ground_min: [f32; 2],
+    /// x and z, metres.
+    pub ground_max: [f32; 2],
+    /// Metres.
+    pub ground_y: f32,
+    /// 9 or 25.
+    pub sh_count: u32,
+    /// Lights in use.
+    pub light_count: u32,
+    /// Occluders in use.
+    pub occluder_count: u32,
+}
+
+/// `Occluder`: a sphere that stands for an object or a part of it.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+pub struct Occluder {
+    /// Metres.
+    pub center: [f32; 3],
+    /// Metres.
+    pub radius: f32,
+    /// Mean reflectance.
+    pub albedo: [f32; 3],
+    /// Number of its object in the frame.
+    pub object: u32,
+}
+
+/// `Instance`: one drawn part of an object.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+pub struct Instance {
+    /// Columns.
+    pub world_from_object: [[f32; 4]; 4],
+    /// Columns and pads.
+    pub normal_from_object: [[f32; 4]; 3],
+    /// Linear.
+    pub base_color: [f32; 3],
+    /// Perceptual.
+    pub roughness: f32,
+    /// In [0, 1].
+    pub metallic: f32,
+    /// 1 for glass.
+    pub glass: u32,
+    /// Number of its object in the frame.
+    pub object: u32,
+    /// Unused.
+    pub padding: u32,
+}
+
+/// `Video`: how to sample and decode the frame.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+pub struct Video {
+    /// Columns and pads.
+    pub rgb_from_yuv: [[f32; 4]; 3],
+    /// Columns and pads.
+    pub bt709_from_primaries: [[f32; 4]; 3],
+    /// Left and right.
+    pub eye_rect: [[f32; 4]; 2],
+    /// As sampled.
+    pub yuv_offset: [f32; 3],
+    /// By [`crate::source::transfer_index`].
+    pub transfer: u32,
+    /// In frame widths.
+    pub chroma_shift_u: f32,
+    /// 1 for three planes.
+    pub planar: u32,
+    /// By [`crate::source::lift_index`].
+    pub lift: u32,
+    /// Unused.
+    pub padding: u32,
+}
+
+/// `Lift`: what the reflection map is made with.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+pub struct Lift {
+    /// RGB and a pad.
+    pub sh: [[f32; 4]; 25],
+    /// Direction and cosine of half the cone.
+    pub lights: [[f32; 4]; SHADED_LIGHTS],
+    /// Texels.
+    pub size_px: [u32; 2],
+    /// Along one side of a texel.
+    pub samples: u32,
+    /// Lights in use.
+    pub light_count: u32,
+    /// 9 or 25.
+    pub sh_count: u32,
+    /// Unused.
+    pub padding: [u32; 3],
+}
+
+/// `Caster`: one light's view of the objects.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+pub struct Caster {
+    /// Columns.
+    pub clip_from_world: [[f32; 4]; 4],
+}
+
+/// One vertex of a mesh.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub struct Vertex {
+    /// Metres, in the object.
+    pub position: [f32; 3],
+    /// Unit.
+    pub normal: [f32; 3],
+    /// First texture coordinates.
+    pub uv: [f32; 2],
+}
+
+/// `Probe`: one question to the kernels under test.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+pub struct Probe {
+    /// Unit.
+    pub direction: [f32; 3],
+    /// By [`crate::source::transfer_index`].
+    pub transfer: u32,
+    /// In [0, 1].
+    pub code: [f32; 3],
+    /// Unused.
+    pub padding: u32,
+}
+
+/// `ProbeResult`: the kernels' answer.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+pub struct ProbeResult {
+    /// Of the SH on a surface of this normal.
+    pub irradiance: [f32; 3],
+    /// Of the direction.
+    pub u: f32,
+    /// Light of the code.
+    pub linear: [f32; 3],
+    /// Of the direction.
+    pub v: f32,
+    /// Direction of (u, v).
+    pub round_trip: [f32; 3],
+    /// Unused.
+    pub padding: f32,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::source::Module;
+    use std::mem::{offset_of, size_of};
+
+    /// Offsets of a WGSL struct's members and its size.
+    fn wgsl(module: Module, name: &str) -> (Vec<(String, usize)>, usize) {
+        let parsed = naga::front::wgsl::parse_str(&module.source().unwrap()).unwrap();
+        let found = parsed.types.iter().find(|(_, ty)| ty.name.as_deref() == Some(name));
+        let Some((_, naga::Type { inner: naga::TypeInner::Struct { members, span }, .. })) = found else { panic!("no struct {name}") };
+        (members.iter().map(|m| (m.name.clone().unwrap(), m.offset as usize)).collect(), *span as usize)
+    }
+
+    macro_rules! mirrors {
+        ($module:ident, $name:ident { $($field:ident),* }) => {
+            let (members, span) = wgsl(Module::$module, stringify!($name));
+            let rust = vec![$((stringify!($field).to_owned(), offset_of!($name, $field))),*];
+            let padding = |fields: &[(String, usize)]| fields.iter().filter(|(n, _)| !n.starts_with("padding")).cloned().collect::<Vec<_>>();
+            assert_eq!(padding(&members), padding(&rust), stringify!($name));
+            assert_eq!(span, size_of::<$name>(), stringify!($name));
+        };
+    }
+
+    #[test]
+    fn mirrors_match_the_shaders() {
+        mirrors!(Object, View { clip_from_world, world_from_ndc, position, eye, size_px, encode_srgb, padding });
+        mirrors!(Object, Light {
+            shadow_from_world,
+            direction,
+            tan_radius,
+            irradiance,
+            shadow_layer,
+            shadow_half_width_m,
+            shadow_range_m,
+            padding
+        });
+        mirrors!(Object, Lighting { sh, disc, lights, ground_min, ground_max, ground_y, sh_count, light_count, occluder_count });
+        mirrors!(Object, Occluder { center, radius, albedo, object });
+        mirrors!(Object, Instance {
+            world_from_object,
+            normal_from_object,
+            base_color,
+            roughness,
+            metallic,
+            glass,
+            object,
+            padding
+        });
+        mirrors!(Object, Video {
+            rgb_from_yuv,
+            bt709_from_primaries,
+            eye_rect,
+            yuv_offset,
+            transfer,
+            chroma_shift_u,
+            planar,
+            lift,
+            padding
+        });
+        mirrors!(EnvironmentLift, Lift { sh, lights, size_px, samples, light_count, sh_count, padding });
+        mirrors!(Caster, Caster { clip_from_world });
+        mirrors!(Probe, Probe { direction, transfer, code, padding });
+        mirrors!(Probe, ProbeResult { irradiance, u, linear, v, round_trip, padding });
+    }
+}

@@ -1,0 +1,232 @@
+//! WGSL modules as one text each: a prelude of shared constants, then the module with its imports, each once.
+//!
+//! A line `#import "name.wgsl"` stands for the text of that file, at its first mention. Constants that the CPU
+//! twins use too are written from their Rust values, so the two cannot drift apart.
+
+use std::fmt::Write as _;
+
+use mr360_protocol::light::Lift;
+use mr360_protocol::video::Transfer;
+
+use crate::{colour, sh};
+
+/// Largest radiance a shader passes on: the largest finite half float.
+pub const LARGEST_RADIANCE: f32 = mr360_protocol::light::MAX_MAGNITUDE;
+/// Radii from an occluder's centre beyond which it hides exactly nothing.
+pub const OCCLUDER_REACH: f32 = 5.0;
+/// Half the side of the plane that hides what lies beneath the ground, metres.
+pub const GROUND_EXTENT_M: f32 = 10_000.0;
+/// Perceptual roughness up to which reflections come from the maps alone.
+pub const ROUGH_FROM: f32 = 0.7;
+/// Perceptual roughness from which reflections come from spherical harmonics alone.
+pub const ROUGH_TO: f32 = 0.9;
+/// Perceptual roughness up to which a surface shows lights only as the video shows them.
+pub const MIRROR_FROM: f32 = 0.05;
+/// Perceptual roughness from which lights have their whole highlight.
+pub const MIRROR_TO: f32 = 0.15;
+/// Refractive index of glass.
+pub const GLASS_IOR: f32 = 1.5;
+
+/// A shader module: a file with entry points.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Module {
+    /// Video to reflection map.
+    EnvironmentLift,
+    /// Reflection map to its next level.
+    EnvironmentMip,
+    /// Depth from a light.
+    Caster,
+    /// Virtual objects.
+    Object,
+    /// Ground as shadow catcher.
+    Ground,
+    /// Video and objects to the target.
+    Composite,
+    /// Light kernels at given directions, for tests against their CPU twins.
+    Probe,
+}
+
+impl Module {
+    /// Every module.
+    pub const ALL: [Self; 7] =
+        [Self::EnvironmentLift, Self::EnvironmentMip, Self::Caster, Self::Object, Self::Ground, Self::Composite, Self::Probe];
+
+    /// Name of its file.
+    #[must_use]
+    pub fn file(self) -> &'static str {
+        match self {
+            Self::EnvironmentLift => "environment_lift.wgsl",
+            Self::EnvironmentMip => "environment_mip.wgsl",
+            Self::Caster => "caster.wgsl",
+            Self::Object => "object.wgsl",
+            Self::Ground => "ground.wgsl",
+            Self::Composite => "composite.wgsl",
+            Self::Probe => "probe.wgsl",
+        }
+    }
+
+    /// The whole text, ready for the compiler.
+    ///
+    /// # Errors
+    /// [`ImportError`] naming a file that is not there; the module tests keep that from happening in a build.
+    pub fn source(self) -> Result<String, ImportError> {
+        let mut text = prelude();
+        let mut seen = Vec::new();
+        append(self.file(), &mut seen, &mut text)?;
+        Ok(text)
+    }
+}
+
+/// An import that names no file.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("shader import \"{0}\" names no file under shaders/wgsl")]
+pub struct ImportError(pub String);
+
+macro_rules! files {
+    ($($name:literal),* $(,)?) => {
+        /// Every WGSL file, by name.
+        const FILES: &[(&str, &str)] = &[$(($name, include_str!(concat!("../wgsl/", $name)))),*];
+    };
+}
+
+files![
+    "brdf.wgsl",
+    "caster.wgsl",
+    "colour.wgsl",
+    "composite.wgsl",
+    "environment_lift.wgsl",
+    "environment_mip.wgsl",
+    "equirect.wgsl",
+    "frame.wgsl",
+    "fullscreen.wgsl",
+    "ground.wgsl",
+    "object.wgsl",
+    "occlusion.wgsl",
+    "probe.wgsl",
+    "reflection.wgsl",
+    "sh.wgsl",
+    "shadow.wgsl",
+    "video.wgsl",
+];
+
+fn append(name: &str, seen: &mut Vec<String>, text: &mut String) -> Result<(), ImportError> {
+    if seen.iter().any(|file| file == name) {
+        return Ok(());
+    }
+    seen.push(name.to_owned());
+    let (_, source) = FILES.iter().find(|(file, _)| *file == name).ok_or_else(|| ImportError(name.to_owned()))?;
+    for line in source.lines() {
+        match line.strip_prefix("#import \"").and_then(|rest| rest.strip_suffix('"')) {
+            Some(import) => append(import, seen, text)?,
+            None => {
+                text.push_str(line);
+                text.push('\n');
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Number of a transfer function in the shaders.
+#[must_use]
+pub fn transfer_index(transfer: Transfer) -> u32 {
+    match transfer {
+        Transfer::Linear => 0,
+        Transfer::Bt709 => 1,
+        Transfer::Srgb => 2,
+        Transfer::Pq => 3,
+        Transfer::Hlg => 4,
+    }
+}
+
+/// Number of a lift in the shaders.
+#[must_use]
+pub fn lift_index(lift: Lift) -> u32 {
+    match lift {
+        Lift::Linear => 0,
+        Lift::InverseToneMap => 1,
+        Lift::Highlights => 2,
+    }
+}
+
+fn prelude() -> String {
+    let [hlg_a, hlg_b, hlg_c] = colour::HLG_ABC;
+    let [m1, m2] = colour::PQ_M;
+    let [c1, c2, c3] = colour::PQ_C;
+    let mut text = String::new();
+    for (name, value) in [
+        ("PI", std::f32::consts::PI),
+        ("HDR_REFERENCE_WHITE", colour::HDR_REFERENCE_WHITE),
+        ("HLG_PEAK", colour::HLG_PEAK),
+        ("HLG_GAMMA", colour::HLG_GAMMA),
+        ("HLG_A", hlg_a),
+        ("HLG_B", hlg_b),
+        ("HLG_C", hlg_c),
+        ("PQ_M1", m1),
+        ("PQ_M2", m2),
+        ("PQ_C1", c1),
+        ("PQ_C2", c2),
+        ("PQ_C3", c3),
+        ("IORNS_GAIN", colour::IORNS_GAIN),
+        ("IORNS_EXPONENT", colour::IORNS_EXPONENT as f32),
+        ("IORNS_BASE", colour::IORNS_BASE),
+        ("LARGEST_RADIANCE", LARGEST_RADIANCE),
+        ("OCCLUDER_REACH", OCCLUDER_REACH),
+        ("GROUND_EXTENT_M", GROUND_EXTENT_M),
+        ("ROUGH_FROM", ROUGH_FROM),
+        ("ROUGH_TO", ROUGH_TO),
+        ("MIRROR_FROM", MIRROR_FROM),
+        ("MIRROR_TO", MIRROR_TO),
+        ("GLASS_IOR", GLASS_IOR),
+    ] {
+        // {:?} prints the shortest text that reads back as the same float. Writing to a String cannot fail.
+        let _ = writeln!(text, "const {name}: f32 = {value:?};");
+    }
+    for (name, value) in [
+        ("TRANSFER_BT709", transfer_index(Transfer::Bt709)),
+        ("TRANSFER_SRGB", transfer_index(Transfer::Srgb)),
+        ("TRANSFER_PQ", transfer_index(Transfer::Pq)),
+        ("TRANSFER_HLG", transfer_index(Transfer::Hlg)),
+        ("LIFT_INVERSE_TONE_MAP", lift_index(Lift::InverseToneMap)),
+        ("LIFT_HIGHLIGHTS", lift_index(Lift::Highlights)),
+    ] {
+        let _ = writeln!(text, "const {name}: u32 = {value}u;");
+    }
+    let luma = colour::IORNS_LUMA;
+    let _ = writeln!(text, "const IORNS_LUMA: vec3<f32> = vec3({:?}, {:?}, {:?});", luma.x, luma.y, luma.z);
+    for (name, band) in [("IRRADIANCE_BAND", sh::IRRADIANCE_BAND), ("RADIANCE_BAND", [1.0; 5])] {
+        let values = band.map(|value| format!("{value:?}")).join(", ");
+        let _ = writeln!(text, "const {name} = array<f32, 5>({values});");
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_module_is_valid() {
+        for module in Module::ALL {
+            let source = module.source().unwrap();
+            let parsed = naga::front::wgsl::parse_str(&source)
+                .unwrap_or_else(|error| panic!("{}: {}", module.file(), error.emit_to_string_with_path(&source, module.file())));
+            naga::valid::Validator::new(naga::valid::ValidationFlags::all(), naga::valid::Capabilities::empty())
+                .validate(&parsed)
+                .unwrap_or_else(|error| panic!("{}: {}", module.file(), error.emit_to_string(&source)));
+        }
+    }
+
+    #[test]
+    fn every_file_is_listed_and_imported_once() {
+        let mut on_disk: Vec<_> = std::fs::read_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/wgsl"))
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect();
+        on_disk.sort();
+        assert_eq!(on_disk, FILES.iter().map(|(name, _)| (*name).to_owned()).collect::<Vec<_>>());
+        let object = Module::Object.source().unwrap();
+        assert_eq!(object.matches("fn uv_from_direction").count(), 1);
+        assert_eq!(append("missing.wgsl", &mut Vec::new(), &mut String::new()), Err(ImportError("missing.wgsl".to_owned())));
+    }
+}

@@ -1,0 +1,39 @@
+// Transfer functions; twin of shaders/src/colour.rs, whose constants stand in the generated prelude.
+
+fn srgb_decode(v: f32) -> f32 {
+    return select(pow((max(v, 0.0) + 0.055) / 1.055, 2.4), v / 12.92, v <= 0.04045);
+}
+
+fn srgb_encode(v: f32) -> f32 {
+    return select(1.055 * pow(max(v, 0.0), 1.0 / 2.4) - 0.055, v * 12.92, v <= 0.0031308);
+}
+
+fn pq_decode(v: f32) -> f32 {
+    let p = pow(clamp(v, 0.0, 1.0), 1.0 / PQ_M2);
+    return pow(max(p - PQ_C1, 0.0) / (PQ_C2 - PQ_C3 * p), 1.0 / PQ_M1) * 10000.0 / HDR_REFERENCE_WHITE;
+}
+
+fn hlg_scene(code: f32) -> f32 {
+    let v = clamp(code, 0.0, 1.0);
+    return select((exp((v - HLG_C) / HLG_A) + HLG_B) / 12.0, v * v / 3.0, v <= 0.5);
+}
+
+fn hlg_decode(code: vec3<f32>) -> vec3<f32> {
+    let scene = vec3(hlg_scene(code.r), hlg_scene(code.g), hlg_scene(code.b));
+    let luminance = dot(scene, vec3(0.2627, 0.6780, 0.0593));
+    return scene * pow(luminance, HLG_GAMMA - 1.0) * (HLG_PEAK / HDR_REFERENCE_WHITE);
+}
+
+fn decode_transfer(transfer: u32, code: vec3<f32>) -> vec3<f32> {
+    switch transfer {
+        case TRANSFER_BT709: { return pow(max(code, vec3(0.0)), vec3(2.4)); }
+        case TRANSFER_SRGB: { return vec3(srgb_decode(code.r), srgb_decode(code.g), srgb_decode(code.b)); }
+        case TRANSFER_PQ: { return vec3(pq_decode(code.r), pq_decode(code.g), pq_decode(code.b)); }
+        case TRANSFER_HLG: { return hlg_decode(code); }
+        default: { return code; }
+    }
+}
+
+fn iorns_factor(code: vec3<f32>) -> f32 {
+    return IORNS_GAIN * pow(max(dot(code, IORNS_LUMA), 0.0), IORNS_EXPONENT) + IORNS_BASE;
+}

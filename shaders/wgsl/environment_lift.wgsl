@@ -1,0 +1,46 @@
+// Video rate: the left eye's panorama as lifted radiance at the size of the reflection map, without the lights.
+
+#import "fullscreen.wgsl"
+#import "sh.wgsl"
+#import "video.wgsl"
+
+struct Lift {
+    sh: array<vec4<f32>, 25>,
+    // xyz: direction, w: cosine of half the cone.
+    lights: array<vec4<f32>, 8>,
+    size_px: vec2<u32>,
+    // Samples along one side of a texel.
+    samples: u32,
+    light_count: u32,
+    sh_count: u32,
+    padding_0: u32,
+    padding_1: u32,
+    padding_2: u32,
+}
+
+@group(0) @binding(0) var<uniform> lift: Lift;
+
+fn sh_at(index: u32) -> vec3<f32> {
+    return lift.sh[index].rgb;
+}
+
+@fragment
+fn fs_lift(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
+    let size = vec2<f32>(lift.size_px);
+    var sum = vec3(0.0);
+    for (var y = 0u; y < lift.samples; y++) {
+        for (var x = 0u; x < lift.samples; x++) {
+            let offset = (vec2(f32(x), f32(y)) + 0.5) / f32(lift.samples) - 0.5;
+            sum += lifted_from_code(video_code((at.xy + offset) / size, 0u));
+        }
+    }
+    var radiance = min(sum / f32(lift.samples * lift.samples), vec3(LARGEST_RADIANCE));
+    // A light comes back as its own highlight: what is left in its place is the residual, which the SH hold.
+    let direction = direction_from_uv(at.xy / size);
+    for (var i = 0u; i < lift.light_count; i++) {
+        if dot(direction, lift.lights[i].xyz) >= lift.lights[i].w {
+            radiance = min(radiance, max(sh_sum(lift.sh_count, direction, RADIANCE_BAND), vec3(0.0)));
+        }
+    }
+    return vec4(radiance, 1.0);
+}

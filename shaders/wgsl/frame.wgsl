@@ -1,0 +1,91 @@
+// What one frame knows: its view, its light, its objects.
+
+#import "sh.wgsl"
+
+struct View {
+    clip_from_world: mat4x4<f32>,
+    // Applied to (x, y, 1) in normalised device coordinates, y up: a ray, not of unit length.
+    world_from_ndc: mat3x3<f32>,
+    position: vec3<f32>,
+    // 0 left, 1 right.
+    eye: u32,
+    size_px: vec2<f32>,
+    // 1 where the target stores sRGB codes that the shader must make.
+    encode_srgb: u32,
+    padding: u32,
+}
+
+struct Light {
+    // x, y in [-1, 1] and z in metres from the nearest caster, along the light.
+    shadow_from_world: mat4x4<f32>,
+    direction: vec3<f32>,
+    // Tangent of half the cone that the light fills.
+    tan_radius: f32,
+    irradiance: vec3<f32>,
+    // Layer of the shadow map; negative for none.
+    shadow_layer: i32,
+    // Half the width of the shadow map's frustum, metres.
+    shadow_half_width_m: f32,
+    // Metres from depth 0 to depth 1.
+    shadow_range_m: f32,
+    padding: vec2<f32>,
+}
+
+struct Lighting {
+    sh: array<vec4<f32>, 25>,
+    // xy: points spread evenly over the unit disc.
+    disc: array<vec4<f32>, 16>,
+    lights: array<Light, 8>,
+    // Corners of the ground that objects can change, x and z.
+    ground_min: vec2<f32>,
+    ground_max: vec2<f32>,
+    ground_y: f32,
+    sh_count: u32,
+    light_count: u32,
+    occluder_count: u32,
+}
+
+struct Occluder {
+    center: vec3<f32>,
+    radius: f32,
+    albedo: vec3<f32>,
+    object: u32,
+}
+
+struct Instance {
+    world_from_object: mat4x4<f32>,
+    // Inverse transpose of the linear part.
+    normal_from_object: mat3x3<f32>,
+    base_color: vec3<f32>,
+    roughness: f32,
+    metallic: f32,
+    // 1 for glass.
+    glass: u32,
+    object: u32,
+    padding: u32,
+}
+
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var<uniform> lighting: Lighting;
+@group(0) @binding(2) var<storage, read> instances: array<Instance>;
+@group(0) @binding(3) var<storage, read> occluders: array<Occluder>;
+@group(0) @binding(4) var shadow_maps: texture_depth_2d_array;
+@group(0) @binding(5) var shadow_sampler: sampler_comparison;
+
+fn sh_at(index: u32) -> vec3<f32> {
+    return lighting.sh[index].rgb;
+}
+
+fn sh_irradiance(normal: vec3<f32>) -> vec3<f32> {
+    return max(sh_sum(lighting.sh_count, normal, IRRADIANCE_BAND), vec3(0.0));
+}
+
+fn sh_radiance(direction: vec3<f32>) -> vec3<f32> {
+    return max(sh_sum(lighting.sh_count, direction, RADIANCE_BAND), vec3(0.0));
+}
+
+// World direction through a point of the image given in pixels.
+fn ray_through(pixel: vec2<f32>) -> vec3<f32> {
+    let ndc = vec2(2.0, -2.0) * pixel / view.size_px + vec2(-1.0, 1.0);
+    return normalize(view.world_from_ndc * vec3(ndc, 1.0));
+}

@@ -1,0 +1,84 @@
+// The ground as catcher of shadows: video × (irradiance with objects / irradiance without).
+
+#import "shadow.wgsl"
+#import "occlusion.wgsl"
+#import "video.wgsl"
+
+struct GroundVertex {
+    @builtin(position) clip: vec4<f32>,
+    @location(0) world: vec3<f32>,
+}
+
+@vertex
+fn vs_ground(@builtin(vertex_index) index: u32) -> GroundVertex {
+    // Counter-clockwise seen from above.
+    let corner = vec2(f32(index & 1u), f32(index >> 1u));
+    let at = mix(lighting.ground_min, lighting.ground_max, vec2(corner.x, 1.0 - corner.y));
+    let world = vec3(at.x, lighting.ground_y, at.y);
+    return GroundVertex(view.clip_from_world * vec4(world, 1.0), world);
+}
+
+// Irradiance on the ground with the objects over irradiance without, per channel.
+// Objects take ambient light by hiding sky and give back what the ground under them sends up (Sec. "Rendering rule"):
+// with form factor F, object albedo a and ground reflectance g the series of bounces sums to 1 / (1 − F·a·g).
+fn ground_ratio(world: vec3<f32>) -> vec3<f32> {
+    let up = vec3(0.0, 1.0, 0.0);
+    let ambient = sh_irradiance(up);
+    var before = ambient;
+    var direct = vec3(0.0);
+    var changed = false;
+    for (var i = 0u; i < lighting.light_count; i++) {
+        let light = lighting.lights[i];
+        if light.direction.y <= 0.0 {
+            continue;
+        }
+        let irradiance = light.irradiance * light.direction.y;
+        let visibility = light_visibility(i, world, up);
+        changed = changed || visibility < 1.0;
+        before += irradiance;
+        direct += irradiance * visibility;
+    }
+    let safe = max(before, vec3(1e-6));
+    let reflectance = clamp(sh_radiance(-up) * PI / safe, vec3(0.0), vec3(1.0));
+    var kept = vec3(1.0);
+    var returned = vec3(1.0);
+    for (var i = 0u; i < lighting.occluder_count; i++) {
+        let occluder = occluders[i];
+        let to_center = occluder.center - world;
+        let factor = sphere_form_factor(to_center, occluder.radius, up);
+        if factor > 0.0 {
+            changed = true;
+            let hidden = sh_radiance(normalize(to_center)) * PI / max(ambient, vec3(1e-6));
+            kept *= max(1.0 - factor * hidden, vec3(0.0));
+            returned /= 1.0 - factor * occluder.albedo * reflectance;
+        }
+    }
+    if !changed {
+        return vec3(1.0);
+    }
+    let ratio = (ambient * kept + direct) / safe * returned;
+    return select(ratio, vec3(1.0), before <= vec3(1e-6));
+}
+
+@fragment
+fn fs_ground(in: GroundVertex) -> @location(0) vec4<f32> {
+    let ratio = ground_ratio(in.world);
+    if all(ratio == vec3(1.0)) {
+        return vec4(0.0);
+    }
+    let seen = video_radiance(ray_through(in.clip.xy), view.eye);
+    return vec4(min(seen * ratio, vec3(LARGEST_RADIANCE)), 1.0);
+}
+
+// Hides what lies beneath the ground: writes depth, and nothing over the video.
+@vertex
+fn vs_horizon(@builtin(vertex_index) index: u32) -> @builtin(position) vec4<f32> {
+    let corner = vec2(f32(index & 1u), f32(index >> 1u)) * 2.0 - 1.0;
+    let world = vec3(view.position.x + corner.x * GROUND_EXTENT_M, lighting.ground_y, view.position.z - corner.y * GROUND_EXTENT_M);
+    return view.clip_from_world * vec4(world, 1.0);
+}
+
+@fragment
+fn fs_horizon() -> @location(0) vec4<f32> {
+    return vec4(0.0);
+}

@@ -1,0 +1,101 @@
+// Virtual objects: spherical harmonics, reflections, and the detected lights with their shadows.
+
+#import "brdf.wgsl"
+#import "shadow.wgsl"
+#import "occlusion.wgsl"
+#import "reflection.wgsl"
+
+@group(3) @binding(0) var base_color_map: texture_2d<f32>;
+@group(3) @binding(1) var metallic_roughness_map: texture_2d<f32>;
+@group(3) @binding(2) var material_sampler: sampler;
+
+struct ObjectVertex {
+    @builtin(position) clip: vec4<f32>,
+    @location(0) world: vec3<f32>,
+    @location(1) normal: vec3<f32>,
+    @location(2) uv: vec2<f32>,
+    @location(3) @interpolate(flat) instance: u32,
+}
+
+@vertex
+fn vs_object(
+    @location(0) position: vec3<f32>,
+    @location(1) normal: vec3<f32>,
+    @location(2) uv: vec2<f32>,
+    @builtin(instance_index) index: u32,
+) -> ObjectVertex {
+    let world = instances[index].world_from_object * vec4(position, 1.0);
+    return ObjectVertex(view.clip_from_world * world, world.xyz, instances[index].normal_from_object * normal, uv, index);
+}
+
+// Ambient light kept by a surface beside other objects, and what they send back of their own colour.
+fn neighbour_ratio(world: vec3<f32>, normal: vec3<f32>, own: u32) -> vec3<f32> {
+    var kept = vec3(1.0);
+    for (var i = 0u; i < lighting.occluder_count; i++) {
+        let occluder = occluders[i];
+        if occluder.object != own {
+            let factor = sphere_form_factor(occluder.center - world, occluder.radius, normal);
+            kept *= 1.0 - factor * (1.0 - occluder.albedo);
+        }
+    }
+    return kept;
+}
+
+// Reflected radiance: the maps where the surface is smooth, spherical harmonics where it is rough.
+fn reflected(mirror: vec3<f32>, roughness: f32, footprint_sr: f32) -> vec3<f32> {
+    let rough = smoothstep(ROUGH_FROM, ROUGH_TO, roughness);
+    var sum = vec3(0.0);
+    if rough > 0.0 {
+        sum += rough * sh_irradiance(mirror) / PI;
+    }
+    if rough < 1.0 {
+        sum += (1.0 - rough) * lobe_radiance(mirror, roughness, footprint_sr);
+    }
+    return sum;
+}
+
+// Clear glass as a solid ball would refract it: in at the surface, out where the inner ray meets the far side.
+fn through_glass(n: vec3<f32>, v: vec3<f32>, tint: vec3<f32>, mirror: vec3<f32>, footprint_sr: f32) -> vec3<f32> {
+    let inside = refract(-v, n, 1.0 / GLASS_IOR);
+    let far_normal = n - 2.0 * dot(n, inside) * inside;
+    let out = refract(inside, -far_normal, GLASS_IOR);
+    let direction = select(reflect(inside, -far_normal), out, dot(out, out) > 0.0);
+    let fresnel = 0.04 + 0.96 * pow(1.0 - max(dot(n, v), 0.0), 5.0);
+    return mix(tint * cone_radiance(normalize(direction), footprint_sr), cone_radiance(mirror, footprint_sr), fresnel);
+}
+
+@fragment
+fn fs_object(in: ObjectVertex, @builtin(front_facing) front: bool) -> @location(0) vec4<f32> {
+    let instance = instances[in.instance];
+    let v = normalize(view.position - in.world);
+    let n = normalize(select(-in.normal, in.normal, front));
+    let mirror = reflect(-v, n);
+    let dx = dpdx(mirror);
+    let dy = dpdy(mirror);
+    let footprint_sr = min(length(cross(dx, dy)), 4.0 * PI) + 1e-9;
+    let albedo = instance.base_color * textureSample(base_color_map, material_sampler, in.uv).rgb;
+    let metallic_roughness = textureSample(metallic_roughness_map, material_sampler, in.uv);
+    let roughness = clamp(instance.roughness * metallic_roughness.g, 0.0, 1.0);
+    let metallic = clamp(instance.metallic * metallic_roughness.b, 0.0, 1.0);
+
+    if instance.glass == 1u {
+        return vec4(min(through_glass(n, v, albedo, mirror, footprint_sr), vec3(LARGEST_RADIANCE)), 1.0);
+    }
+    let f0 = mix(vec3(0.04), albedo, metallic);
+    let weights = ambient_weights(f0, albedo, metallic, max(dot(n, v), 0.0), roughness);
+    let kept = neighbour_ratio(in.world, n, instance.object);
+    var radiance = weights.specular * reflected(mirror, roughness, footprint_sr) + weights.diffuse * kept * sh_irradiance(n) / PI;
+
+    // A mirror shows the light itself in the video; a highlight on top would count it twice.
+    let highlight = smoothstep(MIRROR_FROM, MIRROR_TO, roughness);
+    for (var i = 0u; i < lighting.light_count; i++) {
+        let light = lighting.lights[i];
+        let cosine = dot(n, light.direction);
+        if cosine > 0.0 {
+            let visibility = light_visibility(i, in.world, n);
+            let specular = ggx_direct(f0, n, v, light.direction, roughness, light.tan_radius) * highlight;
+            radiance += light.irradiance * visibility * (specular + weights.diffuse * cosine / PI);
+        }
+    }
+    return vec4(min(radiance, vec3(LARGEST_RADIANCE)), 1.0);
+}

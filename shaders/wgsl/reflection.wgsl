@@ -1,0 +1,55 @@
+// What a lobe around a direction sees of the lifted panorama.
+
+#import "frame.wgsl"
+#import "video.wgsl"
+
+@group(2) @binding(0) var environment: texture_2d<f32>;
+@group(2) @binding(1) var environment_sampler: sampler;
+
+// The mip level whose texels have this solid angle in this direction.
+fn environment_level(direction: vec3<f32>, solid_angle_sr: f32) -> f32 {
+    let size = vec2<f32>(textureDimensions(environment));
+    let cosine = max(sqrt(max(1.0 - direction.y * direction.y, 0.0)), 1.0 / size.y);
+    let texel_sr = 2.0 * PI * PI / (size.x * size.y) * cosine;
+    return 0.5 * log2(solid_angle_sr / texel_sr);
+}
+
+fn environment_radiance(direction: vec3<f32>, level: f32) -> vec3<f32> {
+    return textureSampleLevel(environment, environment_sampler, uv_from_direction(direction), max(level, 0.0)).rgb;
+}
+
+// A cone of this solid angle: the video itself where the cone is finer than the map.
+fn cone_radiance(direction: vec3<f32>, solid_angle_sr: f32) -> vec3<f32> {
+    let level = environment_level(direction, solid_angle_sr);
+    if level >= 0.0 {
+        return environment_radiance(direction, level);
+    }
+    let sharp = lifted_from_code(video_code(uv_from_direction(direction), view.eye));
+    if level <= -1.0 {
+        return sharp;
+    }
+    return mix(environment_radiance(direction, 0.0), sharp, -level);
+}
+
+// GGX lobe of this roughness around the mirror direction; `footprint_sr` is what one pixel spans.
+fn lobe_radiance(mirror: vec3<f32>, roughness: f32, footprint_sr: f32) -> vec3<f32> {
+    let alpha = roughness * roughness;
+    let lobe_sr = 4.0 * PI * alpha * alpha;
+    if alpha < 0.02 {
+        return cone_radiance(mirror, lobe_sr + footprint_sr);
+    }
+    // Rays through normals drawn from the GGX distribution, each standing for its share of the lobe.
+    let side = normalize(select(vec3(0.0, 1.0, 0.0), vec3(1.0, 0.0, 0.0), abs(mirror.y) > 0.9));
+    let tangent = normalize(cross(side, mirror));
+    let bitangent = cross(mirror, tangent);
+    let share_sr = max(lobe_sr / 4.0, footprint_sr);
+    var sum = vec3(0.0);
+    for (var i = 0u; i < 16u; i++) {
+        let point = lighting.disc[i].xy;
+        let r2 = min(dot(point, point), 0.9);
+        let spread = 2.0 * alpha / sqrt(1.0 - r2);
+        let direction = normalize(mirror + spread * (point.x * tangent + point.y * bitangent));
+        sum += environment_radiance(direction, environment_level(direction, share_sr));
+    }
+    return sum / 16.0;
+}
