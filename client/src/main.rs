@@ -1,1 +1,42 @@
-fn main() {}
+//! The `mr360-client` program.
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use mr360_client::join::{self, Failure, JoinArgs};
+use mr360_client::render::{self, RenderArgs};
+
+/// Joins live 360° broadcasts and draws virtual objects into them.
+#[derive(Parser)]
+#[command(version, about)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Join(JoinArgs),
+    Render(RenderArgs),
+}
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let default = "info,moq_net=error,moq_mux=warn,quinn=warn,wgpu_core=warn,wgpu_hal=error,naga=warn";
+    let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| default.into());
+    let colours = std::io::IsTerminal::is_terminal(&std::io::stderr());
+    tracing_subscriber::fmt().with_env_filter(filter).with_ansi(colours).with_writer(std::io::stderr).init();
+    ffmpeg_next::log::set_level(ffmpeg_next::log::Level::Error);
+    let result = match cli.command {
+        Command::Join(args) => join::run(args),
+        Command::Render(args) => render::run(args).map_err(Failure::Input),
+    };
+    // Exit codes: 1 failed while running, 2 wrong usage or input.
+    let (error, code) = match result {
+        Ok(()) => return ExitCode::SUCCESS,
+        Err(Failure::Running(error)) => (error, 1),
+        Err(Failure::Input(error)) => (error, 2),
+    };
+    eprintln!("error: {error:#}");
+    ExitCode::from(code)
+}

@@ -7,7 +7,7 @@ mod decoder;
 mod device;
 mod playback;
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use bytes::Bytes;
 
@@ -39,20 +39,36 @@ pub struct AudioFormat {
     pub description: Option<Bytes>,
 }
 
-/// Tells the player when samples are due; kept by whoever runs the video's playout.
-#[derive(Clone)]
-pub struct AudioTimeline(Arc<Mutex<Playback>>);
+/// Tells players when samples are due. Kept by whoever runs the video's playout, from before the first player to after the last.
+#[derive(Clone, Default)]
+pub struct AudioTimeline(Arc<Mutex<Due>>);
+
+#[derive(Default)]
+struct Due {
+    offset_us: Option<i64>,
+    playback: Option<Arc<Mutex<Playback>>>,
+}
 
 impl AudioTimeline {
     /// Client time minus pts at which things are presented, microseconds; `None` while nothing is: silence.
     pub fn set(&self, offset_us: Option<i64>) {
-        lock(&self.0).set_offset(offset_us);
+        let mut due = lock(&self.0);
+        due.offset_us = offset_us;
+        if let Some(playback) = &due.playback {
+            lock(playback).set_offset(offset_us);
+        }
     }
 
-    /// What was played, skipped and filled in.
+    /// What the player of now played, skipped and filled in.
     #[must_use]
     pub fn counters(&self) -> PlaybackCounters {
-        lock(&self.0).counters()
+        lock(&self.0).playback.as_ref().map(|playback| lock(playback).counters()).unwrap_or_default()
+    }
+
+    fn connect(&self, playback: &Arc<Mutex<Playback>>) {
+        let mut due = lock(&self.0);
+        lock(playback).set_offset(due.offset_us);
+        due.playback = Some(Arc::clone(playback));
     }
 }
 
@@ -65,12 +81,18 @@ pub struct AudioPlayer {
 }
 
 impl AudioPlayer {
-    /// Opens decoder and default device. No device is no error: one line in the log says so, and the player stays silent.
+    /// Opens decoder and default device, to play by `timeline`. No device is no error: one line in the log says so, and the player stays silent.
     ///
     /// # Errors
     /// [`AudioError`] when the format is out of range or FFmpeg cannot decode it.
-    pub fn start(format: &AudioFormat, clock: ClientClock) -> Result<Self, AudioError> {
+    pub fn start(format: &AudioFormat, clock: ClientClock, timeline: &AudioTimeline) -> Result<Self, AudioError> {
         decoder::check(format)?;
+        let player = Self::open(format, clock)?;
+        timeline.connect(&player.playback);
+        Ok(player)
+    }
+
+    fn open(format: &AudioFormat, clock: ClientClock) -> Result<Self, AudioError> {
         match device::Output::open(clock) {
             Ok((device, playback)) => {
                 let (rate, channels) = device.layout();
@@ -91,17 +113,6 @@ impl AudioPlayer {
         self.device.as_ref().is_some_and(|device| !device.is_lost())
     }
 
-    /// The handle through which the video's playout sets the time.
-    #[must_use]
-    pub fn timeline(&self) -> AudioTimeline {
-        AudioTimeline(Arc::clone(&self.playback))
-    }
-
-    /// As [`AudioTimeline::set`].
-    pub fn set_timeline(&self, offset_us: Option<i64>) {
-        lock(&self.playback).set_offset(offset_us);
-    }
-
     /// Decodes a packet; `pts_us` is the time of its first sample. Broken packets are counted and leave a gap of silence.
     pub fn push(&mut self, pts_us: u64, packet: &Bytes) {
         if self.is_audible() {
@@ -118,8 +129,8 @@ impl AudioPlayer {
 }
 
 /// Held for the copying of a few milliseconds of samples at most, on both sides.
-fn lock(playback: &Mutex<Playback>) -> std::sync::MutexGuard<'_, Playback> {
-    playback.lock().unwrap_or_else(PoisonError::into_inner)
+fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
 }
 
 #[cfg(test)]

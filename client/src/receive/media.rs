@@ -2,6 +2,7 @@
 
 use hang::catalog::{AudioCodec as HangAudio, AudioConfig, PRIORITY, VideoCodec as HangVideo, VideoConfig};
 use moq_mux::catalog::hang::Container;
+use moq_mux::container::Frame;
 use mr360_protocol::track;
 use mr360_protocol::video::CatalogSection;
 use tokio::sync::mpsc;
@@ -42,12 +43,11 @@ pub(super) async fn read_video(
         return;
     }
     let container = Container::try_from(&config);
-    let result = read(&broadcast, &name, container, PRIORITY.video, async |frame| {
+    let event = move |frame: Frame| {
         let pts_us = frame.timestamp.as_micros() as u64;
-        let unit = AccessUnit { pts_us, keyframe: frame.keyframe, data: frame.payload, arrived: clock.now() };
-        events.send(Event::Unit(unit)).await.is_ok()
-    });
-    log_end(&name, result.await);
+        Event::Unit(AccessUnit { pts_us, keyframe: frame.keyframe, data: frame.payload, arrived: clock.now() })
+    };
+    log_end(&name, read(&broadcast, &name, container, PRIORITY.video, &events, event).await);
 }
 
 pub(super) async fn read_audio(broadcast: moq_net::broadcast::Consumer, name: String, config: AudioConfig, events: mpsc::Sender<Event>) {
@@ -66,25 +66,23 @@ pub(super) async fn read_audio(broadcast: moq_net::broadcast::Consumer, name: St
         return;
     }
     let container = Container::try_from(&config);
-    let result = read(&broadcast, &name, container, PRIORITY.audio, async |frame| {
-        let pts_us = frame.timestamp.as_micros() as u64;
-        events.send(Event::AudioPacket { pts_us, data: frame.payload }).await.is_ok()
-    });
-    log_end(&name, result.await);
+    let event = |frame: Frame| Event::AudioPacket { pts_us: frame.timestamp.as_micros() as u64, data: frame.payload };
+    log_end(&name, read(&broadcast, &name, container, PRIORITY.audio, &events, event).await);
 }
 
-/// Hands every frame to `take` until the track ends or `take` has enough.
+/// Sends every frame as an event until the track ends or nobody takes them.
 async fn read(
     broadcast: &moq_net::broadcast::Consumer,
     name: &str,
     container: Result<Container, moq_mux::Error>,
     priority: u8,
-    mut take: impl AsyncFnMut(moq_mux::container::Frame) -> bool,
+    events: &mpsc::Sender<Event>,
+    event: impl Fn(Frame) -> Event,
 ) -> Result<(), moq_mux::Error> {
     let track = broadcast.track(name)?.subscribe(track::media_subscription(priority)).await?;
     let mut reader = Reader::new(track, container?);
     while let Some(frame) = reader.read().await? {
-        if !take(frame).await {
+        if events.send(event(frame)).await.is_err() {
             break;
         }
     }

@@ -140,7 +140,8 @@ impl Model {
             }
         }
         let Importer { parts, materials, .. } = importer;
-        let bounds = parts.iter().flat_map(|part| part.mesh.vertices.iter()).fold(Bounds::EMPTY, |b, v| b.including(Vec3::from_array(v.position)));
+        let bounds =
+            parts.iter().flat_map(|part| part.mesh.vertices.iter()).fold(Bounds::EMPTY, |b, v| b.including(Vec3::from_array(v.position)));
         if parts.is_empty() { Err(ModelError::Empty) } else { Ok(Self { parts, textures: materials.textures, bounds }) }
     }
 }
@@ -300,7 +301,9 @@ impl Importer<'_> {
                 let fault = |fault: &str| ModelError::Node { index: joint.index(), fault: fault.to_owned() };
                 let world = world.get(joint.index()).copied().flatten().ok_or_else(|| fault("is a joint but not part of the scene"))?;
                 let bind = match &inverse_bind {
-                    Some(matrices) => matrices.get(at).map(Mat4::from_cols_array).ok_or_else(|| fault("is a joint without inverse bind matrix"))?,
+                    Some(matrices) => {
+                        matrices.get(at).map(Mat4::from_cols_array).ok_or_else(|| fault("is a joint without inverse bind matrix"))?
+                    }
                     None => Mat4::IDENTITY,
                 };
                 Ok(world * bind)
@@ -308,7 +311,13 @@ impl Importer<'_> {
             .collect()
     }
 
-    fn skinned(&self, primitive: &gltf::Primitive<'_>, mesh: Mesh, joints: &[Mat4], fault: impl Fn(String) -> ModelError) -> Result<Mesh, ModelError> {
+    fn skinned(
+        &self,
+        primitive: &gltf::Primitive<'_>,
+        mesh: Mesh,
+        joints: &[Mat4],
+        fault: impl Fn(String) -> ModelError,
+    ) -> Result<Mesh, ModelError> {
         use gltf::Semantic;
         let (Some(names), Some(weights)) = (primitive.get(&Semantic::Joints(0)), primitive.get(&Semantic::Weights(0))) else {
             return Err(fault("belongs to a skin but has no joints or weights".to_owned()));
@@ -323,7 +332,8 @@ impl Importer<'_> {
             let total: f32 = weights.iter().sum();
             let mut matrix = Mat4::ZERO;
             for (name, weight) in names.into_iter().zip(weights).filter(|(_, weight)| *weight != 0.0) {
-                let joint = joints.get(name as usize).ok_or_else(|| fault(format!("joint {name} is not in its skin of {}", joints.len())))?;
+                let joint =
+                    joints.get(name as usize).ok_or_else(|| fault(format!("joint {name} is not in its skin of {}", joints.len())))?;
                 matrix += *joint * (weight / total);
             }
             *vertex = moved(*vertex, matrix, normal_matrix(matrix));
@@ -347,7 +357,8 @@ fn moved(vertex: Vertex, matrix: Mat4, normals: Mat3) -> Vertex {
 
 fn placed(mesh: Mesh, transform: Mat4) -> Mesh {
     let normals = normal_matrix(transform);
-    let mut out = Mesh { vertices: mesh.vertices.into_iter().map(|vertex| moved(vertex, transform, normals)).collect(), indices: mesh.indices };
+    let mut out =
+        Mesh { vertices: mesh.vertices.into_iter().map(|vertex| moved(vertex, transform, normals)).collect(), indices: mesh.indices };
     if transform.determinant() < 0.0 {
         // A mirrored mesh shows its back; glTF asks for the winding to be turned.
         out.indices.chunks_exact_mut(3).for_each(|corners| corners.swap(1, 2));

@@ -105,7 +105,9 @@ impl Stage {
         // Objects of the same geometry share draws; those with a material of their own use none of its textures.
         placed.sort_by_key(|p| (geometry_key(&p.object.geometry), p.object.material.is_some()));
         let mut stage = Self { ground_y: scene.ground_y, ..Self::default() };
-        for run in placed.chunk_by(|a, b| a.object.geometry == b.object.geometry && a.object.material.is_some() == b.object.material.is_some()) {
+        for run in
+            placed.chunk_by(|a, b| a.object.geometry == b.object.geometry && a.object.material.is_some() == b.object.material.is_some())
+        {
             stage.add_run(run);
         }
         stage.occluders = occluders(&placed);

@@ -1,0 +1,179 @@
+//! Flags of `join`.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+
+use anyhow::{Context, bail};
+use clap::{Args, ValueEnum};
+use mr360_protocol::join::JoinUrl;
+
+use crate::camera::Camera;
+use crate::decode::Hardware;
+use crate::headless::{HeadlessOptions, Pace};
+use crate::receive;
+use crate::window::WindowOptions;
+
+/// Largest side of a headless picture.
+const MAX_SIDE: u32 = 8192;
+
+/// Where to present.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Mode {
+    /// In a window; headless where there is no display.
+    Window,
+    /// Nowhere, or into files.
+    Headless,
+}
+
+/// Join a live broadcast.
+#[derive(Debug, Clone, Args)]
+pub struct JoinArgs {
+    /// Join URL, as mr360-server prints it.
+    pub url: String,
+    /// Where to present [default: window, or headless with --record, --snapshot or --frames].
+    #[arg(long, value_enum)]
+    pub mode: Option<Mode>,
+    /// Record to an MP4 file, headless.
+    #[arg(long, value_name = "OUT.mp4")]
+    pub record: Option<PathBuf>,
+    /// Save the last picture, headless.
+    #[arg(long, value_name = "OUT.png")]
+    pub snapshot: Option<PathBuf>,
+    /// Write one CSV row a frame.
+    #[arg(long, value_name = "OUT.csv")]
+    pub stats: Option<PathBuf>,
+    /// Size of the picture or of the window.
+    #[arg(long, value_name = "WxH", default_value = "1280x720", value_parser = parse_size)]
+    pub size: (u32, u32),
+    /// End after so many frames.
+    #[arg(long, value_name = "N")]
+    pub frames: Option<u64>,
+    /// End after so many seconds.
+    #[arg(long, value_name = "SECONDS", value_parser = parse_seconds)]
+    pub duration: Option<Duration>,
+    /// Frames a second, headless [default: every picture of the video].
+    #[arg(long, value_name = "N")]
+    pub fps: Option<f64>,
+    /// Vertical field of view, headless.
+    #[arg(long, value_name = "DEGREES", default_value_t = 75.0)]
+    pub fov_y_deg: f32,
+    /// Look left of the panorama's centre, headless.
+    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true)]
+    pub yaw_deg: f32,
+    /// Look up, headless.
+    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true)]
+    pub pitch_deg: f32,
+    /// Decode in software, even where the GPU could.
+    #[arg(long)]
+    pub software_decoding: bool,
+    /// No sound.
+    #[arg(long)]
+    pub mute: bool,
+    /// Name in the session, 1 to 64 of a-z A-Z 0-9 - _ [default: a random one].
+    #[arg(long, value_name = "NAME")]
+    pub user: Option<String>,
+}
+
+/// What holds, checked.
+pub(super) struct Settings {
+    pub(super) network: receive::Config,
+    pub(super) mode: Mode,
+    pub(super) record: Option<PathBuf>,
+    pub(super) snapshot: Option<PathBuf>,
+    pub(super) stats: Option<PathBuf>,
+    pub(super) camera: Camera,
+    pub(super) hardware: Hardware,
+    pub(super) stop: Arc<AtomicBool>,
+    size: (u32, u32),
+    frames: Option<u64>,
+    duration: Option<Duration>,
+    pace: Pace,
+    mute: bool,
+}
+
+impl JoinArgs {
+    pub(super) fn settle(self) -> anyhow::Result<Settings> {
+        let join: JoinUrl = self.url.parse()?;
+        let to_file = self.record.is_some() || self.snapshot.is_some();
+        let mode = self.mode.unwrap_or(if to_file || self.frames.is_some() { Mode::Headless } else { Mode::Window });
+        if mode == Mode::Window && to_file {
+            bail!("--record and --snapshot go with --mode headless");
+        }
+        if !(1.0..=170.0).contains(&self.fov_y_deg) || !self.yaw_deg.is_finite() || !self.pitch_deg.is_finite() {
+            bail!("--fov-y-deg is from 1 to 170, --yaw-deg and --pitch-deg are finite");
+        }
+        let pace = match self.fps {
+            Some(fps) if fps.is_finite() && fps > 0.0 => Pace::Fixed(fps),
+            Some(fps) => bail!("--fps {fps}: give a number above 0"),
+            None => Pace::Video,
+        };
+        let user = self.user.unwrap_or_else(|| format!("viewer-{:08x}", std::process::id() ^ random()));
+        if !mr360_protocol::track::is_valid_room(&user) {
+            bail!("--user {user:?}: not 1 to 64 of a-z A-Z 0-9 - _");
+        }
+        let folders = directories::ProjectDirs::from("", "", "mr360").context("no home folder for the cache; set HOME")?;
+        Ok(Settings {
+            network: receive::Config { join, cache: folders.cache_dir().join("assets"), user },
+            mode,
+            record: self.record,
+            snapshot: self.snapshot,
+            stats: self.stats,
+            camera: Camera::looking(self.yaw_deg.to_radians(), self.pitch_deg.to_radians(), self.fov_y_deg.to_radians()),
+            hardware: if self.software_decoding { Hardware::Never } else { Hardware::Prefer },
+            stop: Arc::default(),
+            size: self.size,
+            frames: self.frames,
+            duration: self.duration,
+            pace,
+            mute: self.mute,
+        })
+    }
+}
+
+impl Settings {
+    pub(super) fn wants_sound(&self) -> bool {
+        self.mode == Mode::Window && !self.mute
+    }
+
+    pub(super) fn headless(&self) -> HeadlessOptions {
+        HeadlessOptions {
+            width: self.size.0,
+            height: self.size.1,
+            pace: self.pace,
+            frames: self.frames,
+            duration: self.duration,
+            snapshot: self.snapshot.clone(),
+            record: self.record.clone(),
+            stop: Arc::clone(&self.stop),
+        }
+    }
+
+    pub(super) fn window(&self) -> WindowOptions {
+        WindowOptions {
+            title: format!("MR360 live: {}", self.network.join.room),
+            size: self.size,
+            frames: self.frames,
+            duration: self.duration,
+            stop: Arc::clone(&self.stop),
+        }
+    }
+}
+
+/// Unpredictable enough to tell viewers apart, without a random number generator of our own.
+fn random() -> u32 {
+    use std::hash::{BuildHasher, Hasher};
+    std::collections::hash_map::RandomState::new().build_hasher().finish() as u32
+}
+
+fn parse_size(text: &str) -> Result<(u32, u32), String> {
+    let side = |text: &str| text.parse().ok().filter(|side| (1..=MAX_SIDE).contains(side));
+    text.split_once('x')
+        .and_then(|(width, height)| Some((side(width)?, side(height)?)))
+        .ok_or_else(|| format!("a size is WIDTHxHEIGHT, each from 1 to {MAX_SIDE}"))
+}
+
+fn parse_seconds(text: &str) -> Result<Duration, String> {
+    text.parse().ok().and_then(|seconds: f64| Duration::try_from_secs_f64(seconds).ok()).ok_or_else(|| "not a number of seconds".to_owned())
+}

@@ -1,0 +1,143 @@
+//! `mr360-client join`: receive ─► decode ─► sync ─► environment ─► view ─► present.
+
+mod args;
+mod inbox;
+mod live_stage;
+
+pub use args::{JoinArgs, Mode};
+pub use live_stage::LiveStage;
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::channel;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use mr360_protocol::scene::Action;
+
+use crate::camera::Camera;
+use crate::decode::VideoDecoder;
+use crate::frame_loop::{BoxError, FrameLoop, Inputs};
+use crate::gpu::{self, Gpu};
+use crate::headless::{self, Graphics};
+use crate::receive::{Receiver as Network, User};
+use crate::stats::Stats;
+use crate::sync::ClientClock;
+use crate::window::{self, UserAction, WindowError, WindowGraphics};
+use args::Settings;
+use inbox::Inbox;
+use live_stage::SharedScene;
+
+/// Why the client ended.
+#[derive(Debug)]
+pub enum Failure {
+    /// Wrong usage or input: nothing was shown.
+    Input(anyhow::Error),
+    /// It broke off.
+    Running(anyhow::Error),
+}
+
+/// Joins a broadcast and presents it until the user, a limit, or the broadcast's end.
+///
+/// # Errors
+/// [`Failure::Input`] for a wrong URL or setting, [`Failure::Running`] for everything that ends a run later.
+pub fn run(args: JoinArgs) -> Result<(), Failure> {
+    let settings = args.settle().map_err(Failure::Input)?;
+    let stats = Stats::open(settings.stats.as_deref()).map_err(|error| Failure::Input(error.into()))?;
+    present(settings, stats).map_err(Failure::Running)
+}
+
+fn present(settings: Settings, stats: Stats) -> anyhow::Result<()> {
+    let clock = ClientClock::start();
+    stop_on_signal(Arc::clone(&settings.stop))?;
+    let (network, events) = Network::start(settings.network.clone(), clock)?;
+    let user = network.user();
+    let (decoder, pictures) = VideoDecoder::start(clock, settings.hardware)?;
+    let (arrivals_sender, arrivals) = channel();
+    let scene = SharedScene::default();
+    let audio = crate::audio::AudioTimeline::default();
+    let inputs = Inputs { pictures, arrivals, decoder: decoder.counters(), audio: Some(audio.clone()) };
+    let inbox = Inbox::new(decoder, arrivals_sender, scene.clone(), settings.wants_sound().then_some(audio), clock);
+    let end = Arc::new(Mutex::new(None));
+    inbox.spawn(events, Arc::clone(&end), Arc::clone(&settings.stop))?;
+
+    let mut frames = FrameLoop::new(inputs, clock, stats);
+    let shown = match settings.mode {
+        Mode::Window => in_window(&mut frames, &settings, &scene, &user),
+        Mode::Headless => to_file(&mut frames, &settings, &scene),
+    };
+    drop(network);
+    let summary = frames.into_stats().finish()?;
+    eprintln!("{summary}");
+    if let Some(error) = end.lock().unwrap_or_else(PoisonError::into_inner).take() {
+        return Err(error);
+    }
+    shown
+}
+
+fn in_window(frames: &mut FrameLoop, settings: &Settings, scene: &SharedScene, user: &User) -> anyhow::Result<()> {
+    let mut open = |window: Arc<winit::window::Window>| -> Result<WindowGraphics<LiveStage>, BoxError> {
+        let instance = gpu::vulkan_instance();
+        let surface = instance.create_surface(window)?;
+        let gpu = Gpu::new(instance, Some(&surface))?;
+        let (adapter, device, queue) = (gpu.adapter.clone(), gpu.device.clone(), gpu.queue.clone());
+        Ok(WindowGraphics { surface, adapter, device, queue, stage: LiveStage::new(gpu, scene.clone())? })
+    };
+    let mut act = |action| {
+        let wish = match action {
+            UserAction::Grab(id) => Action::Grab(id),
+            UserAction::Release(id) => Action::Release(id),
+            UserAction::Move(id, position) => match scene.moved_to(id, position) {
+                Some(transform) => Action::Move(id, transform),
+                None => return,
+            },
+        };
+        user.wish(wish);
+    };
+    match window::run(frames, &settings.window(), &mut open, &mut act) {
+        Err(error @ WindowError::NoDisplay { .. }) => {
+            tracing::warn!("{error}; going on headless");
+            to_file(frames, settings, scene)
+        }
+        result => result.map(drop).map_err(Into::into),
+    }
+}
+
+fn to_file(frames: &mut FrameLoop, settings: &Settings, scene: &SharedScene) -> anyhow::Result<()> {
+    let mut open = || -> Result<Graphics<LiveStage>, BoxError> {
+        let gpu = Gpu::headless()?;
+        let (device, queue) = (gpu.device.clone(), gpu.queue.clone());
+        Ok(Graphics { device, queue, stage: LiveStage::new(gpu, scene.clone())? })
+    };
+    let camera: Camera = settings.camera;
+    let report = headless::run(frames, &settings.headless(), &mut open, &mut |_| camera)?;
+    match report.recording {
+        Some(Ok(recording)) => tracing::info!(frames = recording.frames, dropped = recording.dropped, "recording written"),
+        Some(Err(error)) => return Err(error.into()),
+        None => {}
+    }
+    if let Some(path) = &settings.snapshot {
+        tracing::info!(path = %path.display(), "snapshot written");
+    }
+    Ok(())
+}
+
+/// Ctrl-C or a termination request ends the run in order: recordings are closed, the summary is printed.
+fn stop_on_signal(stop: Arc<AtomicBool>) -> anyhow::Result<()> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build()?;
+    std::thread::Builder::new().name("signals".to_owned()).spawn(move || {
+        runtime.block_on(async {
+            let interrupt = tokio::signal::ctrl_c();
+            #[cfg(unix)]
+            if let Ok(mut terminate) = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate()) {
+                tokio::select! {
+                    _ = interrupt => {}
+                    _ = terminate.recv() => {}
+                }
+                return;
+            }
+            // A handler that cannot be installed leaves the system's own: the process then simply ends.
+            let _ = interrupt.await;
+        });
+        stop.store(true, Ordering::Relaxed);
+    })?;
+    Ok(())
+}
