@@ -48,7 +48,10 @@ const WANTED: wgpu::Features = wgpu::Features::TIMESTAMP_QUERY.union(wgpu::Featu
 /// A Vulkan instance, to make a window's surface from before the device is chosen.
 #[must_use]
 pub fn vulkan_instance() -> wgpu::Instance {
-    wgpu::Instance::new(wgpu::InstanceDescriptor { backends: wgpu::Backends::VULKAN, ..wgpu::InstanceDescriptor::new_without_display_handle() })
+    wgpu::Instance::new(wgpu::InstanceDescriptor {
+        backends: wgpu::Backends::VULKAN,
+        ..wgpu::InstanceDescriptor::new_without_display_handle()
+    })
 }
 
 impl Gpu {

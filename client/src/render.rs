@@ -190,7 +190,9 @@ pub fn load_panorama(path: &Path, stereo: StereoLayout) -> anyhow::Result<Pictur
     limits.max_image_height = Some(MAX_SIDE);
     limits.max_alloc = Some(MAX_PANORAMA_BYTES);
     reader.limits(limits);
-    let decoded = reader.decode().with_context(|| format!("{}: not a readable .exr, .hdr, .png or .jpg of at most {MAX_SIDE} pixels a side", named()))?;
+    let decoded = reader
+        .decode()
+        .with_context(|| format!("{}: not a readable .exr, .hdr, .png or .jpg of at most {MAX_SIDE} pixels a side", named()))?;
     let pixels = decoded.into_rgb32f();
     let held = |value: f32| f16::from_f32(if value.is_nan() { 0.0 } else { value.clamp(0.0, MAX_MAGNITUDE) });
     let texels = pixels.pixels().flat_map(|p| [held(p.0[0]), held(p.0[1]), held(p.0[2]), f16::ONE]).collect();

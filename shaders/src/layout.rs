@@ -234,39 +234,17 @@ mod tests {
     #[test]
     fn mirrors_match_the_shaders() {
         mirrors!(Object, View { clip_from_world, world_from_ndc, position, eye, size_px, encode_srgb, padding });
-        mirrors!(Object, Light {
-            shadow_from_world,
-            direction,
-            tan_radius,
-            irradiance,
-            shadow_layer,
-            shadow_half_width_m,
-            shadow_range_m,
-            padding
-        });
+        mirrors!(
+            Object,
+            Light { shadow_from_world, direction, tan_radius, irradiance, shadow_layer, shadow_half_width_m, shadow_range_m, padding }
+        );
         mirrors!(Object, Lighting { sh, disc, lights, ground_min, ground_max, ground_y, sh_count, light_count, occluder_count });
         mirrors!(Object, Occluder { center, radius, albedo, object });
-        mirrors!(Object, Instance {
-            world_from_object,
-            normal_from_object,
-            base_color,
-            roughness,
-            metallic,
-            glass,
-            object,
-            padding
-        });
-        mirrors!(Object, Video {
-            rgb_from_yuv,
-            bt709_from_primaries,
-            eye_rect,
-            yuv_offset,
-            transfer,
-            chroma_shift_u,
-            planar,
-            lift,
-            padding
-        });
+        mirrors!(Object, Instance { world_from_object, normal_from_object, base_color, roughness, metallic, glass, object, padding });
+        mirrors!(
+            Object,
+            Video { rgb_from_yuv, bt709_from_primaries, eye_rect, yuv_offset, transfer, chroma_shift_u, planar, lift, padding }
+        );
         mirrors!(EnvironmentLift, Lift { sh, lights, size_px, samples, light_count, sh_count, padding });
         mirrors!(Caster, Caster { clip_from_world });
         mirrors!(Probe, Probe { direction, transfer, code, padding });

@@ -29,7 +29,10 @@ pub(super) struct ReflectionMap {
 
 /// Layout of group 2: the map and its sampler.
 pub(crate) fn reflection_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
-    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some("reflection"), entries: &[texture_entry(0), sampler_entry(1)] })
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("reflection"),
+        entries: &[texture_entry(0), sampler_entry(1)],
+    })
 }
 
 impl ReflectionMap {
@@ -46,7 +49,11 @@ impl ReflectionMap {
             view_formats: &[],
         });
         let level = |base_mip_level| {
-            texture.create_view(&wgpu::TextureViewDescriptor { base_mip_level, mip_level_count: Some(1), ..wgpu::TextureViewDescriptor::default() })
+            texture.create_view(&wgpu::TextureViewDescriptor {
+                base_mip_level,
+                mip_level_count: Some(1),
+                ..wgpu::TextureViewDescriptor::default()
+            })
         };
         let levels: Vec<_> = (0..LEVELS).map(level).collect();
         let sampler = device.create_sampler(&wgpu::SamplerDescriptor {
@@ -67,7 +74,8 @@ impl ReflectionMap {
             ],
         });
         let lift_layout = lift_layout(device);
-        let mip_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some("mip"), entries: &[texture_entry(0)] });
+        let mip_layout =
+            device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some("mip"), entries: &[texture_entry(0)] });
         let lift_uniform = device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("lift"),
             size: size_of::<layout::Lift>() as u64,
@@ -105,7 +113,13 @@ impl ReflectionMap {
         gpu.queue.write_buffer(&self.lift_uniform, 0, bytemuck::bytes_of(&lift_uniform(eye_width, light)));
         let (first, last) = (0, self.levels.len() - 1);
         for (at, level) in self.levels.iter().enumerate() {
-            let timestamps = if at == first { timer.begin("reflections") } else if at == last { timer.end() } else { None };
+            let timestamps = if at == first {
+                timer.begin("reflections")
+            } else if at == last {
+                timer.end()
+            } else {
+                None
+            };
             let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
                 label: Some("reflections"),
                 color_attachments: &[Some(wgpu::RenderPassColorAttachment {
@@ -167,11 +181,20 @@ fn fullscreen(
     layouts: &[Option<&wgpu::BindGroupLayout>],
 ) -> Result<wgpu::RenderPipeline, GpuError> {
     let shader = gpu.shader(module)?;
-    let layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor { label: Some(entry), bind_group_layouts: layouts, immediate_size: 0 });
+    let layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+        label: Some(entry),
+        bind_group_layouts: layouts,
+        immediate_size: 0,
+    });
     Ok(gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
         label: Some(entry),
         layout: Some(&layout),
-        vertex: wgpu::VertexState { module: &shader, entry_point: Some("vs_fullscreen"), compilation_options: wgpu::PipelineCompilationOptions::default(), buffers: &[] },
+        vertex: wgpu::VertexState {
+            module: &shader,
+            entry_point: Some("vs_fullscreen"),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            buffers: &[],
+        },
         primitive: wgpu::PrimitiveState::default(),
         depth_stencil: None,
         multisample: wgpu::MultisampleState::default(),

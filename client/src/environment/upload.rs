@@ -217,7 +217,9 @@ mod tests {
     #[test]
     fn planes_must_hold_what_they_say() {
         assert_eq!(check(&plane(4, 2, 8, 12), 1, 64), Ok(()));
-        for (bad, bytes_per_sample) in [(plane(4, 2, 8, 11), 1), (plane(4, 2, 3, 64), 1), (plane(4, 2, 9, 64), 2), (plane(4, 2, usize::MAX, 64), 1)] {
+        for (bad, bytes_per_sample) in
+            [(plane(4, 2, 8, 11), 1), (plane(4, 2, 3, 64), 1), (plane(4, 2, 9, 64), 2), (plane(4, 2, usize::MAX, 64), 1)]
+        {
             assert!(matches!(check(&bad, bytes_per_sample, 64), Err(UploadError::Short { .. })));
         }
         assert!(matches!(check(&plane(0, 2, 8, 64), 1, 64), Err(UploadError::Size { .. })));

@@ -12,7 +12,11 @@ pub const MAX_ELEMENTS: usize = 8_000_000;
 /// # Errors
 /// [`ModelError`] naming the accessor, when it has another number of components, lies outside of its buffer,
 /// holds too much, or a value is not finite.
-pub fn floats<const N: usize>(accessor: &gltf::Accessor<'_>, buffers: &[Vec<u8>], used_as: &'static str) -> Result<Vec<[f32; N]>, ModelError> {
+pub fn floats<const N: usize>(
+    accessor: &gltf::Accessor<'_>,
+    buffers: &[Vec<u8>],
+    used_as: &'static str,
+) -> Result<Vec<[f32; N]>, ModelError> {
     let fault = |fault: String| ModelError::Accessor { index: accessor.index(), used_as, fault };
     if accessor.dimensions().multiplicity() != N || matches!(accessor.dimensions(), Dimensions::Mat2 | Dimensions::Mat3) {
         return Err(fault(format!("{:?} where {N} components are expected", accessor.dimensions())));
@@ -27,12 +31,18 @@ pub fn floats<const N: usize>(accessor: &gltf::Accessor<'_>, buffers: &[Vec<u8>]
         let bytes = slice(&view, buffers).ok_or_else(|| fault(outside(&view)))?;
         for (i, element) in out.iter_mut().enumerate() {
             *element = read(bytes, accessor, i.checked_mul(stride).and_then(|at| at.checked_add(accessor.offset()))).ok_or_else(|| {
-                fault(format!("element {i} of {} lies outside of buffer view {} of {} bytes", accessor.count(), view.index(), view.length()))
+                fault(format!(
+                    "element {i} of {} lies outside of buffer view {} of {} bytes",
+                    accessor.count(),
+                    view.index(),
+                    view.length()
+                ))
             })?;
         }
     }
     if let Some(sparse) = accessor.sparse() {
-        overlay(&sparse, accessor, buffers, &mut out).ok_or_else(|| fault("sparse values or indices lie outside of their buffer or of the accessor".to_owned()))?;
+        overlay(&sparse, accessor, buffers, &mut out)
+            .ok_or_else(|| fault("sparse values or indices lie outside of their buffer or of the accessor".to_owned()))?;
     }
     if let Some(i) = out.iter().position(|element| element.iter().any(|value| !value.is_finite())) {
         return Err(fault(format!("element {i} is not finite")));
@@ -44,7 +54,11 @@ pub fn floats<const N: usize>(accessor: &gltf::Accessor<'_>, buffers: &[Vec<u8>]
 ///
 /// # Errors
 /// As [`floats`], and for signed or floating components.
-pub fn integers<const N: usize>(accessor: &gltf::Accessor<'_>, buffers: &[Vec<u8>], used_as: &'static str) -> Result<Vec<[u32; N]>, ModelError> {
+pub fn integers<const N: usize>(
+    accessor: &gltf::Accessor<'_>,
+    buffers: &[Vec<u8>],
+    used_as: &'static str,
+) -> Result<Vec<[u32; N]>, ModelError> {
     let fault = |fault: String| ModelError::Accessor { index: accessor.index(), used_as, fault };
     if accessor.dimensions().multiplicity() != N || !matches!(accessor.data_type(), DataType::U8 | DataType::U16 | DataType::U32) {
         return Err(fault(format!("{:?} of {:?} where {N} unsigned integers are expected", accessor.dimensions(), accessor.data_type())));
@@ -66,7 +80,16 @@ pub fn integers<const N: usize>(accessor: &gltf::Accessor<'_>, buffers: &[Vec<u8
         Some(out)
     };
     (0..accessor.count())
-        .map(|i| element(i).ok_or_else(|| fault(format!("element {i} of {} lies outside of buffer view {} of {} bytes", accessor.count(), view.index(), view.length()))))
+        .map(|i| {
+            element(i).ok_or_else(|| {
+                fault(format!(
+                    "element {i} of {} lies outside of buffer view {} of {} bytes",
+                    accessor.count(),
+                    view.index(),
+                    view.length()
+                ))
+            })
+        })
         .collect()
 }
 
@@ -103,7 +126,12 @@ fn component_value(bytes: &[u8], data_type: DataType, normalized: bool) -> Optio
     })
 }
 
-fn overlay<const N: usize>(sparse: &gltf::accessor::sparse::Sparse<'_>, accessor: &gltf::Accessor<'_>, buffers: &[Vec<u8>], out: &mut [[f32; N]]) -> Option<()> {
+fn overlay<const N: usize>(
+    sparse: &gltf::accessor::sparse::Sparse<'_>,
+    accessor: &gltf::Accessor<'_>,
+    buffers: &[Vec<u8>],
+    out: &mut [[f32; N]],
+) -> Option<()> {
     use gltf::accessor::sparse::IndexType;
     let (indices, values) = (sparse.indices(), sparse.values());
     let index_bytes = slice(&indices.view(), buffers)?;
@@ -115,7 +143,8 @@ fn overlay<const N: usize>(sparse: &gltf::accessor::sparse::Sparse<'_>, accessor
     };
     for i in 0..sparse.count() {
         let start = indices.offset().checked_add(i.checked_mul(size)?)?;
-        let index = index_bytes.get(start..start.checked_add(size)?)?.iter().rev().fold(0usize, |value, byte| value << 8 | usize::from(*byte));
+        let index =
+            index_bytes.get(start..start.checked_add(size)?)?.iter().rev().fold(0usize, |value, byte| value << 8 | usize::from(*byte));
         let at = i.checked_mul(accessor.data_type().size() * N)?.checked_add(values.offset());
         *out.get_mut(index)? = read(value_bytes, accessor, at)?;
     }

@@ -67,9 +67,10 @@ impl<'a> Materials<'a> {
             return Err(ModelError::Material { index: material.index(), fault: format!("factors {values:?} are not all within 0..1") });
         }
         let mut texture = |info: Option<gltf::texture::Info<'_>>, srgb| match info {
-            Some(info) if info.tex_coord() != 0 => {
-                Err(ModelError::Material { index: material.index(), fault: "uses a second set of texture coordinates; only TEXCOORD_0 is read".to_owned() })
-            }
+            Some(info) if info.tex_coord() != 0 => Err(ModelError::Material {
+                index: material.index(),
+                fault: "uses a second set of texture coordinates; only TEXCOORD_0 is read".to_owned(),
+            }),
             Some(info) => self.texture(info.texture().source().index(), srgb).map(Some),
             None => Ok(None),
         };
@@ -95,7 +96,8 @@ impl<'a> Materials<'a> {
         let source = self.document.images().nth(image).ok_or_else(|| fault("does not exist".to_owned()))?;
         let pixels = match source.source() {
             gltf::image::Source::View { view, .. } => {
-                let bytes = slice(&view, self.buffers).ok_or_else(|| fault(format!("buffer view {} lies outside of its buffer", view.index())))?;
+                let bytes =
+                    slice(&view, self.buffers).ok_or_else(|| fault(format!("buffer view {} lies outside of its buffer", view.index())))?;
                 decode(bytes)
             }
             gltf::image::Source::Uri { uri, .. } => decode(&data_uri(uri).map_err(fault)?),

@@ -130,6 +130,7 @@ impl Model {
             return Err(ModelError::Extension(unknown.to_owned()));
         }
         let json = gltf.document.into_json();
+        guard(&json)?;
         let document = gltf::Document::from_json(json).map_err(|error| ModelError::Format(error.to_string()))?;
         let buffers = buffers(&document, binary)?;
         let mut importer = Importer { materials: Materials::new(&document, &buffers), buffers: &buffers, parts: Vec::new(), vertices: 0 };
@@ -140,7 +141,8 @@ impl Model {
             }
         }
         let Importer { parts, materials, .. } = importer;
-        let bounds = parts.iter().flat_map(|part| part.mesh.vertices.iter()).fold(Bounds::EMPTY, |b, v| b.including(Vec3::from_array(v.position)));
+        let bounds =
+            parts.iter().flat_map(|part| part.mesh.vertices.iter()).fold(Bounds::EMPTY, |b, v| b.including(Vec3::from_array(v.position)));
         if parts.is_empty() { Err(ModelError::Empty) } else { Ok(Self { parts, textures: materials.textures, bounds }) }
     }
 }
@@ -169,13 +171,29 @@ fn split(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), ModelError> {
     Ok((json, Some(binary)))
 }
 
+/// What the gltf crate itself would panic over: it looks these up before, or without, checking them.
+fn guard(root: &gltf::json::Root) -> Result<(), ModelError> {
+    for (mesh, primitive, one) in
+        root.meshes.iter().enumerate().flat_map(|(m, mesh)| mesh.primitives.iter().enumerate().map(move |(p, one)| (m, p, one)))
+    {
+        if let Some(missing) = one.attributes.values().find(|accessor| accessor.value() >= root.accessors.len()) {
+            return Err(ModelError::Primitive { mesh, primitive, fault: format!("accessor {} does not exist", missing.value()) });
+        }
+    }
+    let unnamed = |image: &gltf::json::Image| image.uri.is_none() && (image.buffer_view.is_none() || image.mime_type.is_none());
+    match root.images.iter().position(unnamed) {
+        Some(index) => Err(ModelError::Image { index, fault: "has neither a URI nor a buffer view with its MIME type".to_owned() }),
+        None => Ok(()),
+    }
+}
+
 fn buffers(document: &gltf::Document, binary: Option<&[u8]>) -> Result<Vec<Vec<u8>>, ModelError> {
     let mut total = 0;
     let mut out = Vec::new();
     for buffer in document.buffers() {
         let fault = |fault: String| ModelError::Buffer { index: buffer.index(), fault };
-        total += buffer.length();
-        if buffer.length() > MAX_BUFFER_BYTES || total > MAX_BUFFER_BYTES {
+        total = buffer.length().saturating_add(total);
+        if total > MAX_BUFFER_BYTES {
             return Err(fault(format!("brings the buffers to more than {MAX_BUFFER_BYTES} bytes; simplify the model")));
         }
         let bytes = match buffer.source() {
@@ -300,7 +318,9 @@ impl Importer<'_> {
                 let fault = |fault: &str| ModelError::Node { index: joint.index(), fault: fault.to_owned() };
                 let world = world.get(joint.index()).copied().flatten().ok_or_else(|| fault("is a joint but not part of the scene"))?;
                 let bind = match &inverse_bind {
-                    Some(matrices) => matrices.get(at).map(Mat4::from_cols_array).ok_or_else(|| fault("is a joint without inverse bind matrix"))?,
+                    Some(matrices) => {
+                        matrices.get(at).map(Mat4::from_cols_array).ok_or_else(|| fault("is a joint without inverse bind matrix"))?
+                    }
                     None => Mat4::IDENTITY,
                 };
                 Ok(world * bind)
@@ -308,7 +328,13 @@ impl Importer<'_> {
             .collect()
     }
 
-    fn skinned(&self, primitive: &gltf::Primitive<'_>, mesh: Mesh, joints: &[Mat4], fault: impl Fn(String) -> ModelError) -> Result<Mesh, ModelError> {
+    fn skinned(
+        &self,
+        primitive: &gltf::Primitive<'_>,
+        mesh: Mesh,
+        joints: &[Mat4],
+        fault: impl Fn(String) -> ModelError,
+    ) -> Result<Mesh, ModelError> {
         use gltf::Semantic;
         let (Some(names), Some(weights)) = (primitive.get(&Semantic::Joints(0)), primitive.get(&Semantic::Weights(0))) else {
             return Err(fault("belongs to a skin but has no joints or weights".to_owned()));
@@ -323,7 +349,8 @@ impl Importer<'_> {
             let total: f32 = weights.iter().sum();
             let mut matrix = Mat4::ZERO;
             for (name, weight) in names.into_iter().zip(weights).filter(|(_, weight)| *weight != 0.0) {
-                let joint = joints.get(name as usize).ok_or_else(|| fault(format!("joint {name} is not in its skin of {}", joints.len())))?;
+                let joint =
+                    joints.get(name as usize).ok_or_else(|| fault(format!("joint {name} is not in its skin of {}", joints.len())))?;
                 matrix += *joint * (weight / total);
             }
             *vertex = moved(*vertex, matrix, normal_matrix(matrix));
@@ -347,7 +374,8 @@ fn moved(vertex: Vertex, matrix: Mat4, normals: Mat3) -> Vertex {
 
 fn placed(mesh: Mesh, transform: Mat4) -> Mesh {
     let normals = normal_matrix(transform);
-    let mut out = Mesh { vertices: mesh.vertices.into_iter().map(|vertex| moved(vertex, transform, normals)).collect(), indices: mesh.indices };
+    let mut out =
+        Mesh { vertices: mesh.vertices.into_iter().map(|vertex| moved(vertex, transform, normals)).collect(), indices: mesh.indices };
     if transform.determinant() < 0.0 {
         // A mirrored mesh shows its back; glTF asks for the winding to be turned.
         out.indices.chunks_exact_mut(3).for_each(|corners| corners.swap(1, 2));

@@ -8,9 +8,13 @@
 mod models;
 mod pipelines;
 pub mod plan;
+#[cfg(test)]
+mod probe_tests;
 mod resources;
 pub mod shadows;
 mod stage;
+#[cfg(test)]
+mod tests;
 pub mod timing;
 
 use std::sync::Arc;
@@ -117,7 +121,13 @@ impl Renderer {
     }
 
     /// Records one frame: shadow maps and reflections once, then each view. At most [`MAX_VIEWS`] are drawn.
-    pub fn render(&mut self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder, environment: &mut Environment, views: &[View<'_>]) -> FrameReport {
+    pub fn render(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        environment: &mut Environment,
+        views: &[View<'_>],
+    ) -> FrameReport {
         self.timer.collect(gpu);
         let views = views.get(..MAX_VIEWS).unwrap_or(views);
         let plan = Plan::new(self.stage.needs, &self.light);
@@ -127,7 +137,8 @@ impl Renderer {
         if plan.reflections {
             environment.refresh_reflections(gpu, encoder, &self.light, &mut self.timer);
         }
-        let frusta: Vec<Frustum> = self.light.lights.iter().take(plan.shadows).map(|light| self.resources.frustum(light, &self.stage)).collect();
+        let frusta: Vec<Frustum> =
+            self.light.lights.iter().take(plan.shadows).map(|light| self.resources.frustum(light, &self.stage)).collect();
         self.resources.write_frame(gpu, &self.stage, &self.light, &frusta);
         let mut report = FrameReport { plan, ..FrameReport::default() };
         self.draw_shadows(encoder, frusta.len(), &mut report);
@@ -167,7 +178,14 @@ impl Renderer {
         }
     }
 
-    fn draw_layer(&mut self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder, environment: &Environment, (at, view): (usize, &View<'_>), report: &mut FrameReport) {
+    fn draw_layer(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        environment: &Environment,
+        (at, view): (usize, &View<'_>),
+        report: &mut FrameReport,
+    ) {
         const NAMES: [&str; MAX_VIEWS] = ["objects", "objects, view 2", "objects, view 3", "objects, view 4"];
         if self.layers.get(at).is_none_or(|layer| layer.size != view.size) {
             self.layers.truncate(at);
@@ -211,7 +229,14 @@ impl Renderer {
         }
     }
 
-    fn composite(&mut self, encoder: &mut wgpu::CommandEncoder, environment: &Environment, (at, view): (usize, &View<'_>), drawn: bool, report: &mut FrameReport) {
+    fn composite(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        environment: &Environment,
+        (at, view): (usize, &View<'_>),
+        drawn: bool,
+        report: &mut FrameReport,
+    ) {
         const NAMES: [&str; MAX_VIEWS] = ["composite", "composite, view 2", "composite, view 3", "composite, view 4"];
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some(NAMES[at]),

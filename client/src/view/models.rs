@@ -122,7 +122,8 @@ impl Models {
 }
 
 fn part(gpu: &Gpu, mesh: &Mesh, surface: Surface, material: wgpu::BindGroup) -> GpuPart {
-    let buffer = |label, contents, usage| gpu.device.create_buffer_init(&wgpu::util::BufferInitDescriptor { label: Some(label), contents, usage });
+    let buffer =
+        |label, contents, usage| gpu.device.create_buffer_init(&wgpu::util::BufferInitDescriptor { label: Some(label), contents, usage });
     GpuPart {
         vertices: buffer("vertices", bytemuck::cast_slice(&mesh.vertices), wgpu::BufferUsages::VERTEX),
         indices: buffer("indices", bytemuck::cast_slice(&mesh.indices), wgpu::BufferUsages::INDEX),

@@ -56,7 +56,12 @@ impl Layouts {
         let shadow_sampler =
             wgpu::BindGroupLayoutEntry { ty: wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Comparison), ..sampler_entry(5) };
         let make = |label, entries: &[_]| device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(label), entries });
-        let shared = [buffer_entry(0, uniform, true), buffer_entry(1, uniform, false), buffer_entry(2, storage, false), buffer_entry(3, storage, false)];
+        let shared = [
+            buffer_entry(0, uniform, true),
+            buffer_entry(1, uniform, false),
+            buffer_entry(2, storage, false),
+            buffer_entry(3, storage, false),
+        ];
         let [view, lighting, instances, occluders] = shared;
         let unfiltered = wgpu::BindGroupLayoutEntry {
             ty: wgpu::BindingType::Texture {
@@ -188,7 +193,11 @@ impl Pipelines {
         Ok(Self {
             object_double_sided: build(gpu, &object, &Recipe { label: "object, both sides", cull: None, ..object_recipe.clone() }),
             object: build(gpu, &object, &object_recipe),
-            horizon: build(gpu, &ground, &Recipe { label: "horizon", vertex: "vs_horizon", fragment: Some(("fs_horizon", LAYER_FORMAT)), ..ground_recipe.clone() }),
+            horizon: build(
+                gpu,
+                &ground,
+                &Recipe { label: "horizon", vertex: "vs_horizon", fragment: Some(("fs_horizon", LAYER_FORMAT)), ..ground_recipe.clone() },
+            ),
             ground: build(gpu, &ground, &ground_recipe),
             caster: build(gpu, &gpu.shader(Module::Caster)?, &casters),
             composite: build(gpu, &gpu.shader(Module::Composite)?, &composite),

@@ -64,7 +64,12 @@ mod tests {
     fn light(irradiances: &[f32]) -> FrameLight {
         let mut light = FrameLight::default();
         light.sh[0] = Vec3::splat(1.0);
-        let one = |(id, irradiance): (usize, &f32)| DirectionalLight { id: id as u32, direction: Vec3::Y, irradiance: Vec3::splat(*irradiance), solid_angle_sr: 0.01 };
+        let one = |(id, irradiance): (usize, &f32)| DirectionalLight {
+            id: id as u32,
+            direction: Vec3::Y,
+            irradiance: Vec3::splat(*irradiance),
+            solid_angle_sr: 0.01,
+        };
         light.lights = irradiances.iter().enumerate().map(one).collect();
         light
     }

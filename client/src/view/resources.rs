@@ -38,7 +38,15 @@ fn buffer(device: &wgpu::Device, label: &str, size: usize, usage: wgpu::BufferUs
     device.create_buffer(&wgpu::BufferDescriptor { label: Some(label), size: size as u64, usage, mapped_at_creation: false })
 }
 
-fn texture(device: &wgpu::Device, label: &str, (width, height): (u32, u32), layers: u32, samples: u32, format: wgpu::TextureFormat, usage: wgpu::TextureUsages) -> wgpu::Texture {
+fn texture(
+    device: &wgpu::Device,
+    label: &str,
+    (width, height): (u32, u32),
+    layers: u32,
+    samples: u32,
+    format: wgpu::TextureFormat,
+    usage: wgpu::TextureUsages,
+) -> wgpu::Texture {
     device.create_texture(&wgpu::TextureDescriptor {
         label: Some(label),
         size: wgpu::Extent3d { width: width.max(1), height: height.max(1), depth_or_array_layers: layers },
@@ -60,7 +68,8 @@ impl Resources {
         let casters = buffer(device, "casters", MAX_SHADOWS * VIEW_STRIDE as usize, wgpu::BufferUsages::UNIFORM);
         let attachment = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
         let maps = texture(device, "shadow maps", (SHADOW_SIZE, SHADOW_SIZE), MAX_SHADOWS as u32, 1, DEPTH_FORMAT, attachment);
-        let shadow_maps = maps.create_view(&wgpu::TextureViewDescriptor { dimension: Some(wgpu::TextureViewDimension::D2Array), ..Default::default() });
+        let shadow_maps =
+            maps.create_view(&wgpu::TextureViewDescriptor { dimension: Some(wgpu::TextureViewDimension::D2Array), ..Default::default() });
         let layer = |base_array_layer| {
             let dimension = Some(wgpu::TextureViewDimension::D2);
             maps.create_view(&wgpu::TextureViewDescriptor { dimension, base_array_layer, array_layer_count: Some(1), ..Default::default() })
@@ -84,7 +93,20 @@ impl Resources {
         let shared = (&views, &lighting, &instances, &occluders);
         let frame = frame_group(device, &layouts.frame, shared, &shadow_maps, &shadow_sampler);
         let caster_instances = instances_group(device, &layouts.casters, &instances);
-        Self { views, lighting, instances, occluders, casters, shadow_maps, shadow_sampler, shadow_layers, frame, caster_instances, caster_views, no_layer }
+        Self {
+            views,
+            lighting,
+            instances,
+            occluders,
+            casters,
+            shadow_maps,
+            shadow_sampler,
+            shadow_layers,
+            frame,
+            caster_instances,
+            caster_views,
+            no_layer,
+        }
     }
 
     /// Writes what stays until the scene changes.
@@ -207,7 +229,9 @@ pub(super) struct Layer {
 impl Layer {
     pub(super) fn new(device: &wgpu::Device, layout: &wgpu::BindGroupLayout, size: (u32, u32)) -> Self {
         let attachment = wgpu::TextureUsages::RENDER_ATTACHMENT;
-        let view = |label, samples, format, usage| texture(device, label, size, 1, samples, format, usage).create_view(&wgpu::TextureViewDescriptor::default());
+        let view = |label, samples, format, usage| {
+            texture(device, label, size, 1, samples, format, usage).create_view(&wgpu::TextureViewDescriptor::default())
+        };
         let resolved = view("layer", 1, LAYER_FORMAT, attachment | wgpu::TextureUsages::TEXTURE_BINDING);
         Self {
             size,

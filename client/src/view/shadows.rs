@@ -68,7 +68,10 @@ mod tests {
 
     #[test]
     fn casters_lie_within_and_depth_grows_away_from_the_light() {
-        let casters = [Bounds { min: Vec3::new(1.0, -1.6, -4.0), max: Vec3::new(2.0, 0.4, -3.0) }, Bounds { min: Vec3::splat(-0.5), max: Vec3::splat(0.5) }];
+        let casters = [
+            Bounds { min: Vec3::new(1.0, -1.6, -4.0), max: Vec3::new(2.0, 0.4, -3.0) },
+            Bounds { min: Vec3::splat(-0.5), max: Vec3::splat(0.5) },
+        ];
         for direction in [Vec3::Y, Vec3::new(0.6, 0.48, -0.64), Vec3::NEG_Z, Vec3::new(0.01, -0.99, 0.0).normalize()] {
             let frustum = fit(direction, &casters, 0.1);
             for corner in casters.iter().flat_map(Bounds::corners) {

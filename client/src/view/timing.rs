@@ -45,7 +45,9 @@ impl PassTimer {
     #[must_use]
     pub fn new(gpu: &Gpu) -> Self {
         let bytes = (MAX_PASSES * 2 * size_of::<u64>()) as u64;
-        let buffer = |usage| gpu.device.create_buffer(&wgpu::BufferDescriptor { label: Some("pass times"), size: bytes, usage, mapped_at_creation: false });
+        let buffer = |usage| {
+            gpu.device.create_buffer(&wgpu::BufferDescriptor { label: Some("pass times"), size: bytes, usage, mapped_at_creation: false })
+        };
         let available = gpu.device.features().contains(wgpu::Features::TIMESTAMP_QUERY);
         let queries = available.then(|| {
             let set = gpu.device.create_query_set(&wgpu::QuerySetDescriptor {
@@ -60,7 +62,13 @@ impl PassTimer {
             names: Vec::new(),
             state: Arc::new(AtomicU8::new(FREE)),
         };
-        Self { queries, slots: (0..IN_FLIGHT).map(|_| slot()).collect(), names: Vec::new(), period_ns: gpu.queue.get_timestamp_period(), latest: Vec::new() }
+        Self {
+            queries,
+            slots: (0..IN_FLIGHT).map(|_| slot()).collect(),
+            names: Vec::new(),
+            period_ns: gpu.queue.get_timestamp_period(),
+            latest: Vec::new(),
+        }
     }
 
     /// Takes what has come back, without waiting; call once a frame before recording.
