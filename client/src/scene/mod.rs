@@ -4,6 +4,8 @@ pub mod accessor;
 pub mod material;
 pub mod mesh;
 pub mod model;
+#[cfg(test)]
+mod model_tests;
 pub mod occluder;
 pub mod pick;
 pub mod shapes;

@@ -130,6 +130,7 @@ impl Model {
             return Err(ModelError::Extension(unknown.to_owned()));
         }
         let json = gltf.document.into_json();
+        guard(&json)?;
         let document = gltf::Document::from_json(json).map_err(|error| ModelError::Format(error.to_string()))?;
         let buffers = buffers(&document, binary)?;
         let mut importer = Importer { materials: Materials::new(&document, &buffers), buffers: &buffers, parts: Vec::new(), vertices: 0 };
@@ -170,13 +171,29 @@ fn split(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), ModelError> {
     Ok((json, Some(binary)))
 }
 
+/// What the gltf crate itself would panic over: it looks these up before, or without, checking them.
+fn guard(root: &gltf::json::Root) -> Result<(), ModelError> {
+    for (mesh, primitive, one) in
+        root.meshes.iter().enumerate().flat_map(|(m, mesh)| mesh.primitives.iter().enumerate().map(move |(p, one)| (m, p, one)))
+    {
+        if let Some(missing) = one.attributes.values().find(|accessor| accessor.value() >= root.accessors.len()) {
+            return Err(ModelError::Primitive { mesh, primitive, fault: format!("accessor {} does not exist", missing.value()) });
+        }
+    }
+    let unnamed = |image: &gltf::json::Image| image.uri.is_none() && (image.buffer_view.is_none() || image.mime_type.is_none());
+    match root.images.iter().position(unnamed) {
+        Some(index) => Err(ModelError::Image { index, fault: "has neither a URI nor a buffer view with its MIME type".to_owned() }),
+        None => Ok(()),
+    }
+}
+
 fn buffers(document: &gltf::Document, binary: Option<&[u8]>) -> Result<Vec<Vec<u8>>, ModelError> {
     let mut total = 0;
     let mut out = Vec::new();
     for buffer in document.buffers() {
         let fault = |fault: String| ModelError::Buffer { index: buffer.index(), fault };
-        total += buffer.length();
-        if buffer.length() > MAX_BUFFER_BYTES || total > MAX_BUFFER_BYTES {
+        total = buffer.length().saturating_add(total);
+        if total > MAX_BUFFER_BYTES {
             return Err(fault(format!("brings the buffers to more than {MAX_BUFFER_BYTES} bytes; simplify the model")));
         }
         let bytes = match buffer.source() {

@@ -8,9 +8,13 @@
 mod models;
 mod pipelines;
 pub mod plan;
+#[cfg(test)]
+mod probe_tests;
 mod resources;
 pub mod shadows;
 mod stage;
+#[cfg(test)]
+mod tests;
 pub mod timing;
 
 use std::sync::Arc;
