@@ -19,8 +19,9 @@ fn vs_ground(@builtin(vertex_index) index: u32) -> GroundVertex {
 }
 
 // Irradiance on the ground with the objects over irradiance without, per channel.
-// Objects take ambient light by hiding sky and give back what the ground under them sends up (Sec. "Rendering rule"):
-// with form factor F, object albedo a and ground reflectance g the series of bounces sums to 1 / (1 − F·a·g).
+// Objects take ambient light by hiding what is behind them, and give a part of it back: what the ground sends up to
+// them (reflectance g) and they send down again (albedo a), one bounce. Never more than they took: the ground
+// beside a contact is itself in shade, and a full series of bounces would glow there.
 fn ground_ratio(world: vec3<f32>) -> vec3<f32> {
     let up = vec3(0.0, 1.0, 0.0);
     let ambient = sh_irradiance(up);
@@ -41,7 +42,6 @@ fn ground_ratio(world: vec3<f32>) -> vec3<f32> {
     let safe = max(before, vec3(1e-6));
     let reflectance = clamp(sh_radiance(-up) * PI / safe, vec3(0.0), vec3(1.0));
     var kept = vec3(1.0);
-    var returned = vec3(1.0);
     for (var i = 0u; i < lighting.occluder_count; i++) {
         let occluder = occluders[i];
         let to_center = occluder.center - world;
@@ -49,14 +49,13 @@ fn ground_ratio(world: vec3<f32>) -> vec3<f32> {
         if factor > 0.0 {
             changed = true;
             let hidden = sh_radiance(normalize(to_center)) * PI / max(ambient, vec3(1e-6));
-            kept *= max(1.0 - factor * hidden, vec3(0.0));
-            returned /= 1.0 - factor * occluder.albedo * reflectance;
+            kept *= max(1.0 - factor * hidden * (1.0 - occluder.albedo * reflectance), vec3(0.0));
         }
     }
     if !changed {
         return vec3(1.0);
     }
-    let ratio = (ambient * kept + direct) / safe * returned;
+    let ratio = (ambient * kept + direct) / safe;
     return select(ratio, vec3(1.0), before <= vec3(1e-6));
 }
 
