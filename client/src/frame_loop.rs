@@ -12,7 +12,7 @@ use mr360_protocol::scene::ObjectId;
 
 use crate::audio::AudioTimeline;
 use crate::camera::Camera;
-use crate::decode::{DecodeCounters, Decoded};
+use crate::decode::{DecodeCounters, PictureReceiver};
 use crate::stats::{FrameTimes, PassTime, Stats};
 use crate::sync::{ClientClock, Paired, Playout, ReceivedLight};
 
@@ -118,7 +118,7 @@ pub enum Arrival {
 /// Where pictures and lights come from.
 pub struct Inputs {
     /// From the decoder.
-    pub pictures: Receiver<Decoded>,
+    pub pictures: PictureReceiver,
     /// From the network.
     pub arrivals: Receiver<Arrival>,
     /// The decoder's counts.

@@ -5,6 +5,7 @@
 
 mod codec;
 mod hardware;
+mod outbox;
 mod pictures;
 #[cfg(test)]
 mod tests;
@@ -12,7 +13,7 @@ mod worker;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
 use std::thread::JoinHandle;
 
 use bytes::Bytes;
@@ -20,6 +21,7 @@ use mr360_protocol::clock::ClientTime;
 use mr360_protocol::video::{Colour, StereoLayout};
 
 pub use self::codec::{Codec, DecodeError};
+pub use self::outbox::{NobodyListens, PictureReceiver, PictureSender, outbox};
 
 use crate::picture::Picture;
 use crate::sync::ClientClock;
@@ -91,6 +93,7 @@ pub struct DecodeCounters {
     errors: AtomicU64,
     unanchored: AtomicU64,
     backlog: AtomicU64,
+    superseded: AtomicU64,
     blocked_us: AtomicU64,
 }
 
@@ -125,6 +128,12 @@ impl DecodeCounters {
         self.backlog.load(Ordering::Relaxed)
     }
 
+    /// Pictures that were ready but gave way to newer ones, because the frame loop could not keep up.
+    #[must_use]
+    pub fn superseded(&self) -> u64 {
+        self.superseded.load(Ordering::Relaxed)
+    }
+
     fn add(counter: &AtomicU64) {
         counter.fetch_add(1, Ordering::Relaxed);
     }
@@ -153,9 +162,9 @@ impl VideoDecoder {
     ///
     /// # Errors
     /// [`DecodeError::Thread`] when the system gives no thread.
-    pub fn start(clock: ClientClock, hardware: Hardware) -> Result<(Self, Receiver<Decoded>), DecodeError> {
+    pub fn start(clock: ClientClock, hardware: Hardware) -> Result<(Self, PictureReceiver), DecodeError> {
         let (input, units) = sync_channel(QUEUED_UNITS);
-        let (output, pictures) = sync_channel(QUEUED_PICTURES);
+        let (output, pictures) = outbox(QUEUED_PICTURES);
         let counters = Arc::new(DecodeCounters::default());
         let shared = Arc::clone(&counters);
         let thread = std::thread::Builder::new()

@@ -39,14 +39,14 @@ fn unit(index: usize, keyframe: bool, data: Bytes) -> AccessUnit {
 }
 
 /// Pushes units with room for the queue, then takes every picture.
-fn decode(decoder: VideoDecoder, pictures: &Receiver<Decoded>) -> Vec<Decoded> {
+fn decode(decoder: VideoDecoder, pictures: &PictureReceiver) -> Vec<Decoded> {
     let finisher = std::thread::spawn(move || decoder.finish());
     let all = pictures.iter().collect();
     finisher.join().unwrap();
     all
 }
 
-fn started(codec: Codec) -> (VideoDecoder, Receiver<Decoded>) {
+fn started(codec: Codec) -> (VideoDecoder, PictureReceiver) {
     let (mut decoder, pictures) = VideoDecoder::start(ClientClock::start(), Hardware::Prefer).unwrap();
     decoder.set_format(format(codec)).unwrap();
     (decoder, pictures)

@@ -3,13 +3,14 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::sync::mpsc::{Receiver, SyncSender};
+use std::sync::mpsc::Receiver;
 
 use ffmpeg_next as ffmpeg;
 use mr360_protocol::clock::ClientTime;
 
 use super::codec::{self, DecodeError, Opened};
 use super::hardware;
+use super::outbox::{NobodyListens, PictureSender};
 use super::pictures::Pictures;
 use super::{DecodeCounters, Decoded, Hardware, Input, VideoFormat};
 use crate::sync::ClientClock;
@@ -31,7 +32,7 @@ struct Inside {
 pub(super) struct Worker {
     clock: ClientClock,
     hardware: Hardware,
-    output: SyncSender<Decoded>,
+    output: PictureSender,
     counters: Arc<DecodeCounters>,
     pictures: Pictures,
     decoder: Option<(Opened, VideoFormat)>,
@@ -40,11 +41,8 @@ pub(super) struct Worker {
     strikes: u32,
 }
 
-/// The receiver of pictures is gone.
-struct NobodyListens;
-
 impl Worker {
-    pub(super) fn new(clock: ClientClock, hardware: Hardware, output: SyncSender<Decoded>, counters: Arc<DecodeCounters>) -> Self {
+    pub(super) fn new(clock: ClientClock, hardware: Hardware, output: PictureSender, counters: Arc<DecodeCounters>) -> Self {
         Self {
             clock,
             hardware,
@@ -158,7 +156,10 @@ impl Worker {
         let sent = self.output.send(Decoded { picture, arrived: inside.arrived, decoded, held_us });
         let stood_us = self.clock.now().0.saturating_sub(decoded.0);
         self.counters.blocked_us.fetch_add(stood_us, Ordering::Relaxed);
-        sent.map_err(|_| NobodyListens)
+        if sent? {
+            DecodeCounters::add(&self.counters.superseded);
+        }
+        Ok(())
     }
 
     /// What is still inside when the stream or its format ends.

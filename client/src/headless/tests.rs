@@ -1,4 +1,4 @@
-use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
+use std::sync::mpsc::channel;
 
 use bytes::Bytes;
 use glam::{Vec2, Vec3};
@@ -7,7 +7,7 @@ use mr360_protocol::scene::ObjectId;
 use mr360_protocol::video::{Colour, StereoLayout};
 
 use super::*;
-use crate::decode::{DecodeCounters, Decoded};
+use crate::decode::{DecodeCounters, Decoded, PictureReceiver, PictureSender, outbox};
 use crate::frame_loop::{Arrival, Inputs};
 use crate::picture::{Picture, Plane, Samples};
 use crate::stats::{PassTime, Stats};
@@ -101,7 +101,7 @@ fn picture(index: u64, clock: ClientClock) -> Decoded {
 /// Feeds `count` pictures, 10 ms apart in pts, with their lights, as fast as they are taken; then the stream ends.
 fn frame_loop(count: u64, csv: Option<&std::path::Path>) -> (FrameLoop, std::thread::JoinHandle<()>) {
     let clock = ClientClock::start();
-    let (pictures, taken): (SyncSender<Decoded>, Receiver<Decoded>) = sync_channel(1);
+    let (pictures, taken): (PictureSender, PictureReceiver) = outbox(1);
     let (lights, arrivals) = channel();
     for index in 0..count {
         let light =

@@ -19,7 +19,7 @@ use crate::sync::Drops;
 const MAX_NAMES: usize = 64;
 /// Columns before those of the passes.
 const COLUMNS: &str = "frame,pts_us,arrived_us,decoded_us,light_arrived_us,paired_us,uploaded_us,rendered_us,presented_us,light_age_us,video_age_us,\
-playout_delay_us,dropped_superseded,dropped_no_light,dropped_late,dropped_overflow,light_late,decode_errors,decode_backlog";
+playout_delay_us,dropped_superseded,dropped_no_light,dropped_late,dropped_overflow,light_late,decode_errors,decode_backlog,decode_superseded";
 
 /// GPU time of one pass.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -85,7 +85,7 @@ pub struct Stats {
     pictures: u64,
     skipped: u64,
     drops: Drops,
-    decode: [u64; 5],
+    decode: [u64; 6],
 }
 
 impl Stats {
@@ -126,7 +126,7 @@ impl Stats {
     pub fn counted(&mut self, drops: Drops, decode: Option<&DecodeCounters>) {
         self.drops = drops;
         if let Some(decode) = decode {
-            self.decode = [decode.units(), decode.pictures(), decode.errors(), decode.unanchored(), decode.backlog()];
+            self.decode = [decode.units(), decode.pictures(), decode.errors(), decode.unanchored(), decode.backlog(), decode.superseded()];
         }
     }
 
@@ -178,7 +178,7 @@ impl Stats {
 }
 
 impl Csv {
-    fn write(&mut self, times: &FrameTimes, passes: &[PassTime], drops: Drops, decode: [u64; 5]) -> std::io::Result<()> {
+    fn write(&mut self, times: &FrameTimes, passes: &[PassTime], drops: Drops, decode: [u64; 6]) -> std::io::Result<()> {
         if self.passes.is_none() {
             write!(self.file, "{COLUMNS}")?;
             for pass in passes {
@@ -189,10 +189,10 @@ impl Csv {
         let columns = self.passes.get_or_insert_with(|| passes.iter().map(|pass| pass.name).collect());
         let light = times.light_arrived.map(|light| (light.0, times.presented.0.saturating_sub(light.0)));
         let optional = |value: Option<u64>| value.map_or(String::new(), |value| value.to_string());
-        let [_, _, errors, _, backlog] = decode;
+        let [_, _, errors, _, backlog, superseded] = decode;
         write!(
             self.file,
-            "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{errors},{backlog}",
+            "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{errors},{backlog},{superseded}",
             times.frame,
             times.pts_us,
             times.arrived.0,
@@ -259,10 +259,10 @@ impl fmt::Display for Summary {
              display skipped {}; lights: {light_late} late, {light_unused} unused",
             stats.skipped
         )?;
-        let [units, pictures, errors, unanchored, backlog] = stats.decode;
+        let [units, pictures, errors, unanchored, backlog, superseded] = stats.decode;
         writeln!(
             f,
-            "decoder: {units} units, {pictures} pictures, {errors} errors, {unanchored} before a keyframe, {backlog} dropped by backlog"
+            "decoder: {units} units, {pictures} pictures, {errors} errors, {unanchored} before a keyframe, {backlog} dropped by backlog; {superseded} pictures superseded before the playout"
         )?;
         for (track, (frames, bytes)) in &stats.tracks {
             writeln!(f, "track {track}: {frames} frames, {bytes} bytes")?;
@@ -309,7 +309,7 @@ mod tests {
         let text = std::fs::read_to_string(&path).unwrap();
         let lines: Vec<_> = text.lines().collect();
         assert_eq!(lines.len(), 4);
-        assert!(lines[0].ends_with("decode_backlog,gpu_shadow_ms,gpu_view_ms"));
+        assert!(lines[0].ends_with("decode_backlog,decode_superseded,gpu_shadow_ms,gpu_view_ms"));
         assert!(lines.iter().all(|line| line.split(',').count() == lines[0].split(',').count()));
         assert_eq!(lines[1], "0,0,0,4000,6000,24000,25000,27000,30000,24000,30000,20000,0,0,0,0,0,0,0,1.500,2.250");
         assert!(lines[2].starts_with("1,33000,33000,37000,,57000,"));
