@@ -207,8 +207,9 @@ mod tests {
 
     #[test]
     fn without_a_device_the_player_is_silent_and_alive() {
-        let Ok(mut player) = AudioPlayer::start(&aac(), ClientClock::start()) else { panic!("no device must be no error") };
-        player.set_timeline(Some(0));
+        let timeline = AudioTimeline::default();
+        let Ok(mut player) = AudioPlayer::start(&aac(), ClientClock::start(), &timeline) else { panic!("no device must be no error") };
+        timeline.set(Some(0));
         for packet in tone() {
             player.push(0, &packet);
         }

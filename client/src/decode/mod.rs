@@ -163,8 +163,12 @@ impl VideoDecoder {
     /// # Errors
     /// [`DecodeError::Thread`] when the system gives no thread.
     pub fn start(clock: ClientClock, hardware: Hardware) -> Result<(Self, PictureReceiver), DecodeError> {
+        Self::start_with(clock, hardware, QUEUED_PICTURES)
+    }
+
+    fn start_with(clock: ClientClock, hardware: Hardware, capacity: usize) -> Result<(Self, PictureReceiver), DecodeError> {
         let (input, units) = sync_channel(QUEUED_UNITS);
-        let (output, pictures) = outbox(QUEUED_PICTURES);
+        let (output, pictures) = outbox(capacity);
         let counters = Arc::new(DecodeCounters::default());
         let shared = Arc::clone(&counters);
         let thread = std::thread::Builder::new()

@@ -5,6 +5,11 @@ use std::time::Duration;
 use super::*;
 use crate::picture::Samples;
 
+/// Room for every picture of a test: none gives way to a newer one, however slow the machine is.
+const ALL: usize = 1_000;
+/// Longer than any decoder takes on any machine: only a broken one runs into it.
+const PATIENCE: Duration = Duration::from_secs(60);
+
 /// Access units of a clip that the `ffmpeg` tool encodes: (keyframe, Annex B).
 fn clip(size: &str, frames: u32, encoder: &[&str]) -> Vec<(bool, Bytes)> {
     let folder = tempfile::tempdir().unwrap();
@@ -41,13 +46,13 @@ fn unit(index: usize, keyframe: bool, data: Bytes) -> AccessUnit {
 /// Pushes units with room for the queue, then takes every picture.
 fn decode(decoder: VideoDecoder, pictures: &PictureReceiver) -> Vec<Decoded> {
     let finisher = std::thread::spawn(move || decoder.finish());
-    let all = pictures.iter().collect();
+    let all = std::iter::from_fn(|| pictures.recv_timeout(PATIENCE).ok()).collect();
     finisher.join().unwrap();
     all
 }
 
 fn started(codec: Codec) -> (VideoDecoder, PictureReceiver) {
-    let (mut decoder, pictures) = VideoDecoder::start(ClientClock::start(), Hardware::Prefer).unwrap();
+    let (mut decoder, pictures) = VideoDecoder::start_with(ClientClock::start(), Hardware::Prefer, ALL).unwrap();
     decoder.set_format(format(codec)).unwrap();
     (decoder, pictures)
 }
@@ -81,7 +86,7 @@ fn low_delay_hands_out_each_picture_before_the_next_unit() {
     for (i, (keyframe, data)) in units.iter().enumerate() {
         decoder.push(unit(i, *keyframe, data.clone())).unwrap();
         // Blocks for ever, and so fails the run, if the decoder held the picture back.
-        assert_eq!(pictures.recv().unwrap().picture.pts_us, pts_of(i));
+        assert_eq!(pictures.recv_timeout(PATIENCE).unwrap().picture.pts_us, pts_of(i));
     }
 }
 
@@ -178,7 +183,7 @@ fn random_bytes_never_end_the_decoder() {
 
 #[test]
 fn bounds_are_refused_with_a_remedy() {
-    let (mut decoder, pictures) = VideoDecoder::start(ClientClock::start(), Hardware::Never).unwrap();
+    let (mut decoder, pictures) = VideoDecoder::start_with(ClientClock::start(), Hardware::Never, ALL).unwrap();
     assert!(matches!(decoder.push(unit(0, true, Bytes::new())), Err(DecodeError::NoFormat)));
     let large = VideoFormat { width: 8193, height: 4096, ..format(Codec::H264) };
     assert!(decoder.set_format(large).unwrap_err().to_string().contains("8193×4096"));
@@ -191,14 +196,16 @@ fn bounds_are_refused_with_a_remedy() {
 #[test]
 fn a_full_queue_drops_up_to_the_next_keyframe() {
     let units = clip("64x32", 1, &X264);
-    let (mut decoder, pictures) = started(Codec::H264);
+    let (mut decoder, pictures) = VideoDecoder::start(ClientClock::start(), Hardware::Never).unwrap();
+    decoder.set_format(format(Codec::H264)).unwrap();
     let counters = decoder.counters();
-    // Nobody takes pictures: queue, decoder and output fill up.
-    for i in 0..200 {
-        decoder.push(unit(i, true, units[0].1.clone())).unwrap();
-    }
-    assert!(counters.backlog() >= (200 - QUEUED_UNITS - QUEUED_PICTURES - 2) as u64);
-    decoder.push(unit(200, false, units[0].1.clone())).unwrap();
+    // Nobody takes pictures, so that each holds the decoder up for a while: units come faster.
+    let refused = (0..100_000).find(|i| {
+        decoder.push(unit(*i, true, units[0].1.clone())).unwrap();
+        counters.backlog() > 0
+    });
+    assert!(refused.unwrap() >= QUEUED_UNITS);
+    decoder.push(unit(100_000, false, units[0].1.clone())).unwrap();
     assert_eq!(counters.unanchored(), 1);
     drop(pictures);
     decoder.finish();

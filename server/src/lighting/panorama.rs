@@ -277,7 +277,7 @@ fn mend(value: f32, linear: bool) -> f32 {
 mod tests {
     use super::*;
     use ffmpeg_next::format::Pixel;
-    use mr360_protocol::video::{Matrix, Primaries};
+    use mr360_protocol::video::{Matrix, Primaries, Transfer};
 
     const SIZE: Grid = Grid { width: 16, height: 8, supersample: 1 };
 
