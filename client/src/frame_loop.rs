@@ -7,13 +7,13 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, TryRecvError};
 use std::time::Duration;
 
 use glam::{Vec2, Vec3};
-use mr360_protocol::clock::ClientTime;
+use mr360_protocol::clock::{ClientTime, ClockOffset, ServerTime};
 use mr360_protocol::scene::ObjectId;
 
 use crate::audio::AudioTimeline;
 use crate::camera::Camera;
 use crate::decode::{DecodeCounters, PictureReceiver};
-use crate::stats::{FrameTimes, PassTime, Stats};
+use crate::stats::{FrameTimes, LightTimes, PassTime, Stats};
 use crate::sync::{ClientClock, Paired, Playout, ReceivedLight};
 
 /// Longest rest between two looks at what arrived: well within the least playout delay of 20 ms.
@@ -152,7 +152,7 @@ struct OnStage {
     pts_us: u64,
     arrived: ClientTime,
     decoded: ClientTime,
-    light_arrived: Option<ClientTime>,
+    light: Option<LightTimes>,
     paired: ClientTime,
     uploaded: ClientTime,
     presented_once: bool,
@@ -163,6 +163,7 @@ pub struct FrameLoop {
     inputs: Inputs,
     clock: ClientClock,
     playout: Playout,
+    server_clock: ClockOffset,
     stats: Stats,
     on_stage: Option<OnStage>,
     /// What is on stage has changed since it was drawn.
@@ -177,7 +178,18 @@ impl FrameLoop {
     #[must_use]
     pub fn new(inputs: Inputs, clock: ClientClock, stats: Stats) -> Self {
         let playout = Playout::new();
-        Self { inputs, clock, playout, stats, on_stage: None, stale: false, last_camera: None, frames: 0, ended: false }
+        Self {
+            inputs,
+            clock,
+            playout,
+            server_clock: ClockOffset::default(),
+            stats,
+            on_stage: None,
+            stale: false,
+            last_camera: None,
+            frames: 0,
+            ended: false,
+        }
     }
 
     /// One turn of the loop.
@@ -270,9 +282,15 @@ impl FrameLoop {
     fn take_in(&mut self) {
         for _ in 0..MESSAGES_A_TURN {
             match self.inputs.arrivals.try_recv() {
-                Ok(Arrival::Light(light)) => self.playout.push_light(light),
+                Ok(Arrival::Light(light)) => {
+                    self.server_clock.observe(ServerTime(light.light.published_us), light.arrived);
+                    self.playout.push_light(light);
+                }
                 Ok(Arrival::Bytes(track, bytes)) => self.stats.received(&track, bytes),
-                Ok(Arrival::NewBroadcast) => self.playout.reset(),
+                Ok(Arrival::NewBroadcast) => {
+                    self.server_clock = ClockOffset::default();
+                    self.playout.reset();
+                }
                 Err(_) => break,
             }
         }
@@ -288,6 +306,11 @@ impl FrameLoop {
         }
     }
 
+    fn light_times(&self, light: &ReceivedLight) -> Option<LightTimes> {
+        let published = self.server_clock.client_from_server(ServerTime(light.light.published_us), light.arrived)?;
+        Some(LightTimes { published, arrived: light.arrived })
+    }
+
     fn update(&mut self, stage: &mut impl Stage) -> Result<bool, FrameError> {
         let now = self.clock.now();
         let paired = self.playout.poll(now);
@@ -300,7 +323,7 @@ impl FrameLoop {
             pts_us: paired.picture.pts_us,
             arrived: paired.arrived,
             decoded: paired.decoded,
-            light_arrived: paired.light.as_ref().map(|light| light.arrived),
+            light: paired.light.as_ref().and_then(|light| self.light_times(light)),
             paired: paired.paired,
             uploaded: self.clock.now(),
             presented_once: false,
@@ -322,7 +345,7 @@ impl FrameLoop {
             new_picture: !on_stage.presented_once,
             arrived: on_stage.arrived,
             decoded: on_stage.decoded,
-            light_arrived: on_stage.light_arrived,
+            light: on_stage.light,
             paired: on_stage.paired,
             uploaded: on_stage.uploaded,
             begun,

@@ -3,6 +3,7 @@
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use mr360_client::gpu::GpuError;
 use mr360_client::join::{self, Failure, JoinArgs};
 use mr360_client::render::{self, RenderArgs};
 
@@ -29,7 +30,10 @@ fn main() -> ExitCode {
     ffmpeg_next::log::set_level(ffmpeg_next::log::Level::Error);
     let result = match cli.command {
         Command::Join(args) => join::run(args),
-        Command::Render(args) => render::run(args).map_err(Failure::Input),
+        Command::Render(args) => render::run(&args).map_err(|error| match error.is::<GpuError>() {
+            true => Failure::Running(error),
+            false => Failure::Input(error),
+        }),
     };
     // Exit codes: 1 failed while running, 2 wrong usage or input.
     let (error, code) = match result {

@@ -92,7 +92,7 @@ fn parse_stereo(text: &str) -> Result<StereoLayout, String> {
 ///
 /// # Errors
 /// What is wrong with which file or argument, or that there is no GPU to draw with.
-pub fn run(args: RenderArgs) -> anyhow::Result<()> {
+pub fn run(args: &RenderArgs) -> anyhow::Result<()> {
     if !args.yaw_deg.is_finite() || !args.pitch_deg.is_finite() {
         bail!("--yaw-deg {} --pitch-deg {}: an angle is not finite", args.yaw_deg, args.pitch_deg);
     }
@@ -135,7 +135,7 @@ pub struct Still<'a> {
     /// What stands in it.
     pub scene: &'a Scene,
     /// Models by name.
-    pub assets: &'a HashMap<AssetId, Arc<[u8]>>,
+    pub assets: &'a Models,
 }
 
 impl Still<'_> {
@@ -200,11 +200,14 @@ pub fn load_panorama(path: &Path, stereo: StereoLayout) -> anyhow::Result<Pictur
     Ok(Picture { pts_us: 0, width: pixels.width(), height: pixels.height(), stereo, samples: Samples::Rgba16F { texels, transfer } })
 }
 
+/// Models by name.
+pub type Models = HashMap<AssetId, Arc<[u8]>>;
+
 /// Reads a scene and the models it names.
 ///
 /// # Errors
 /// Naming the file, the object and what is wrong with it.
-pub fn load_scene(path: &Path) -> anyhow::Result<(Scene, HashMap<AssetId, Arc<[u8]>>)> {
+pub fn load_scene(path: &Path) -> anyhow::Result<(Scene, Models)> {
     let mut assets = HashMap::new();
     let scene = SceneFile::load(path)?.resolve(|model| {
         let size = std::fs::metadata(model).map_err(|error| error.to_string())?.len();

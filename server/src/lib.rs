@@ -12,3 +12,4 @@ pub mod plaza;
 pub mod serve;
 pub mod session;
 pub mod stats;
+pub mod truth;

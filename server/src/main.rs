@@ -6,6 +6,7 @@ use clap::{Parser, Subcommand};
 use mr360_server::analyze::{self, AnalyzeArgs};
 use mr360_server::ingest::{self, DecodeOptions, Source};
 use mr360_server::serve::{self, Failure, ServeArgs};
+use mr360_server::truth::{self, TruthArgs};
 
 /// Hosts live 360° broadcasts with their light.
 #[derive(Parser)]
@@ -19,6 +20,7 @@ struct Cli {
 enum Command {
     Serve(Box<ServeArgs>),
     Analyze(AnalyzeArgs),
+    Truth(TruthArgs),
 }
 
 fn main() -> ExitCode {
@@ -30,6 +32,7 @@ fn main() -> ExitCode {
     match cli.command {
         Command::Serve(args) => serve(*args),
         Command::Analyze(args) => analyze(&args).map_err(Failure::Input),
+        Command::Truth(args) => truth::run(&args).map_err(Failure::Input),
     }
     .map_or_else(report, |()| ExitCode::SUCCESS)
 }

@@ -95,7 +95,7 @@ fn build<T: SizedSample + FromSample<f32>>(
 ) -> Result<cpal::Stream, cpal::Error> {
     let on_error = move |error: cpal::Error| match error.kind() {
         cpal::ErrorKind::Xrun | cpal::ErrorKind::DeviceChanged | cpal::ErrorKind::RealtimeDenied => {
-            tracing::debug!("audio device: {error}")
+            tracing::debug!("audio device: {error}");
         }
         _ => {
             if !lost.swap(true, Ordering::Relaxed) {

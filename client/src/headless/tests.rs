@@ -118,7 +118,7 @@ fn frame_loop(count: u64, csv: Option<&std::path::Path>) -> (FrameLoop, std::thr
         }
     });
     let inputs = Inputs { pictures: taken, arrivals, decoder: Arc::new(DecodeCounters::default()), audio: None };
-    (FrameLoop::new(inputs, clock, Stats::open(csv).unwrap()), feeder)
+    (FrameLoop::new(inputs, clock, Stats::open(csv, &["clear"]).unwrap()), feeder)
 }
 
 fn options() -> HeadlessOptions {

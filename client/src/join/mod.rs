@@ -21,6 +21,7 @@ use crate::headless::{self, Graphics};
 use crate::receive::{Receiver as Network, User};
 use crate::stats::Stats;
 use crate::sync::ClientClock;
+use crate::view;
 use crate::window::{self, UserAction, WindowError, WindowGraphics};
 use args::Settings;
 use inbox::Inbox;
@@ -41,11 +42,11 @@ pub enum Failure {
 /// [`Failure::Input`] for a wrong URL or setting, [`Failure::Running`] for everything that ends a run later.
 pub fn run(args: JoinArgs) -> Result<(), Failure> {
     let settings = args.settle().map_err(Failure::Input)?;
-    let stats = Stats::open(settings.stats.as_deref()).map_err(|error| Failure::Input(error.into()))?;
-    present(settings, stats).map_err(Failure::Running)
+    let stats = Stats::open(settings.stats.as_deref(), &view::PASSES).map_err(|error| Failure::Input(error.into()))?;
+    present(&settings, stats).map_err(Failure::Running)
 }
 
-fn present(settings: Settings, stats: Stats) -> anyhow::Result<()> {
+fn present(settings: &Settings, stats: Stats) -> anyhow::Result<()> {
     let clock = ClientClock::start();
     stop_on_signal(Arc::clone(&settings.stop))?;
     let (network, events) = Network::start(settings.network.clone(), clock)?;
@@ -61,8 +62,8 @@ fn present(settings: Settings, stats: Stats) -> anyhow::Result<()> {
 
     let mut frames = FrameLoop::new(inputs, clock, stats);
     let shown = match settings.mode {
-        Mode::Window => in_window(&mut frames, &settings, &scene, &user),
-        Mode::Headless => to_file(&mut frames, &settings, &scene),
+        Mode::Window => in_window(&mut frames, settings, &scene, &user),
+        Mode::Headless => to_file(&mut frames, settings, &scene),
     };
     drop(network);
     let summary = frames.into_stats().finish()?;

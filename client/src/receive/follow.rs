@@ -103,13 +103,14 @@ async fn first_contact(
         }
     }
     let there = if rooms.is_empty() { "no room is open there".to_owned() } else { format!("open rooms: {}", rooms.join(", ")) };
-    Err(ReceiveError::NoRoom { url: config.join.endpoint.clone(), room: config.join.room.clone(), there })
+    Err(ReceiveError::NoRoom { url: config.join.endpoint.to_string(), room: config.join.room.clone(), there })
 }
 
 /// What the catalog said last of each track, so that an update restarts only what it changes.
 #[derive(Default)]
 struct Current {
     video: Option<(String, VideoConfig, CatalogSection)>,
+    told_to_wait: bool,
     audio: Option<(String, AudioConfig)>,
     video_tasks: JoinSet<()>,
     audio_tasks: JoinSet<()>,
@@ -180,8 +181,10 @@ impl Current {
                         clock,
                     ));
                 }
+                None if self.told_to_wait => {}
                 None => drop(events.send(Event::AwaitingSource).await),
             }
+            self.told_to_wait = video.is_none();
         }
         self.video = video;
         let audio = catalog.audio.renditions.iter().next().map(|(name, config)| (name.clone(), config.clone()));
@@ -204,10 +207,7 @@ fn same_video(old: Option<&(String, VideoConfig, CatalogSection)>, new: Option<&
         let (name, config, section) = of;
         (name.clone(), config.codec.clone(), config.coded_width, config.coded_height, section.stereo, section.colour)
     };
-    match (old, new) {
-        (None, None) => false,
-        (old, new) => old.map(key) == new.map(key),
-    }
+    old.is_some() && old.map(key) == new.map(key)
 }
 
 async fn read_light(broadcast: moq_net::broadcast::Consumer, name: String, events: mpsc::Sender<Event>, clock: ClientClock) {

@@ -82,7 +82,7 @@ pub enum ReceiveError {
     #[error("{url}: there is no room {room:?}; {there}; check the join URL with the host")]
     NoRoom {
         /// The endpoint.
-        url: url::Url,
+        url: String,
         /// The room asked for.
         room: String,
         /// What is there.

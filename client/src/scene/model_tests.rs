@@ -103,7 +103,8 @@ fn each_fault_names_its_element() {
         nodes.push(json!({ "mesh": 0 }));
         Value::Array(nodes)
     };
-    let cases: Vec<(&str, Box<dyn Fn(&mut Value, &mut Vec<u8>)>)> = vec![
+    type Break = Box<dyn Fn(&mut Value, &mut Vec<u8>)>;
+    let cases: Vec<(&str, Break)> = vec![
         (
             "buffer 0 holds 44 bytes where 64",
             Box::new(|json, bytes| {

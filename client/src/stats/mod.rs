@@ -18,7 +18,7 @@ use crate::sync::Drops;
 /// Most passes and most tracks told apart; names come from the program and from the catalog.
 const MAX_NAMES: usize = 64;
 /// Columns before those of the passes.
-const COLUMNS: &str = "frame,pts_us,arrived_us,decoded_us,light_arrived_us,paired_us,uploaded_us,rendered_us,presented_us,light_age_us,video_age_us,\
+const COLUMNS: &str = "frame,pts_us,arrived_us,decoded_us,light_arrived_us,paired_us,uploaded_us,rendered_us,presented_us,network_us,light_age_us,video_age_us,\
 playout_delay_us,dropped_superseded,dropped_no_light,dropped_late,dropped_overflow,light_late,decode_errors,decode_backlog,decode_superseded";
 
 /// GPU time of one pass.
@@ -43,8 +43,8 @@ pub struct FrameTimes {
     pub arrived: ClientTime,
     /// When the picture left the decoder.
     pub decoded: ClientTime,
-    /// When its light had arrived, if it has one.
-    pub light_arrived: Option<ClientTime>,
+    /// Its light, if it has one.
+    pub light: Option<LightTimes>,
     /// When both were handed to the renderer.
     pub paired: ClientTime,
     /// When the upload was submitted.
@@ -59,6 +59,16 @@ pub struct FrameTimes {
     pub playout_delay_us: u64,
 }
 
+/// Times of a LightFrame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct LightTimes {
+    /// When the server published it, on this client's clock (see [`mr360_protocol::clock::ClockOffset`]): the least network
+    /// delay counts as none.
+    pub published: ClientTime,
+    /// When it had arrived.
+    pub arrived: ClientTime,
+}
+
 /// Why statistics cannot be written.
 #[derive(Debug, thiserror::Error)]
 #[error("{path}: statistics cannot be written ({source}); check that the folder exists, can be written to, and has space")]
@@ -70,8 +80,9 @@ pub struct StatsError {
 struct Csv {
     path: String,
     file: BufWriter<File>,
-    /// Passes that have a column; set by the first frame.
-    passes: Option<Vec<&'static str>>,
+    /// Passes that have a column.
+    passes: &'static [&'static str],
+    header_written: bool,
 }
 
 /// Collects.
@@ -89,15 +100,15 @@ pub struct Stats {
 }
 
 impl Stats {
-    /// Without a path only the summary is made.
+    /// Without a path only the summary is made; `passes` are those with a column in the file.
     ///
     /// # Errors
     /// [`StatsError`] when the file cannot be created.
-    pub fn open(path: Option<&Path>) -> Result<Self, StatsError> {
+    pub fn open(path: Option<&Path>, passes: &'static [&'static str]) -> Result<Self, StatsError> {
         let csv = path
             .map(|path| {
                 let file = File::create(path).map_err(|source| StatsError { path: path.display().to_string(), source })?;
-                Ok(Csv { path: path.display().to_string(), file: BufWriter::new(file), passes: None })
+                Ok(Csv { path: path.display().to_string(), file: BufWriter::new(file), passes, header_written: false })
             })
             .transpose()?;
         Ok(Self { csv, ..Self::default() })
@@ -142,8 +153,9 @@ impl Stats {
             stage("playout (decoded → paired)", times.decoded, times.paired);
             stage("upload (paired → submitted)", times.paired, times.uploaded);
             stage("video age (arrived → presented)", times.arrived, times.presented);
-            if let Some(light) = times.light_arrived {
-                stage("light age (arrived → presented)", light, times.presented);
+            if let Some(light) = times.light {
+                stage("network (light published → arrived)", light.published, light.arrived);
+                stage("light age (published → presented)", light.published, times.presented);
             }
         }
         stage("view (begun → submitted)", times.begun, times.rendered);
@@ -179,30 +191,32 @@ impl Stats {
 
 impl Csv {
     fn write(&mut self, times: &FrameTimes, passes: &[PassTime], drops: Drops, decode: [u64; 6]) -> std::io::Result<()> {
-        if self.passes.is_none() {
+        if !self.header_written {
             write!(self.file, "{COLUMNS}")?;
-            for pass in passes {
-                write!(self.file, ",gpu_{}_ms", pass.name)?;
+            for pass in self.passes {
+                write!(self.file, ",gpu_{}_ms", pass.replace(' ', "_"))?;
             }
             writeln!(self.file)?;
+            self.header_written = true;
         }
-        let columns = self.passes.get_or_insert_with(|| passes.iter().map(|pass| pass.name).collect());
-        let light = times.light_arrived.map(|light| (light.0, times.presented.0.saturating_sub(light.0)));
+        let network = times.light.map(|light| light.arrived.0.saturating_sub(light.published.0));
+        let light_age = times.light.map(|light| times.presented.0.saturating_sub(light.published.0));
         let optional = |value: Option<u64>| value.map_or(String::new(), |value| value.to_string());
         let [_, _, errors, _, backlog, superseded] = decode;
         write!(
             self.file,
-            "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{errors},{backlog},{superseded}",
+            "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{errors},{backlog},{superseded}",
             times.frame,
             times.pts_us,
             times.arrived.0,
             times.decoded.0,
-            optional(light.map(|l| l.0)),
+            optional(times.light.map(|light| light.arrived.0)),
             times.paired.0,
             times.uploaded.0,
             times.rendered.0,
             times.presented.0,
-            optional(light.map(|l| l.1)),
+            optional(network),
+            optional(light_age),
             times.presented.0.saturating_sub(times.arrived.0),
             times.playout_delay_us,
             drops.superseded,
@@ -211,7 +225,7 @@ impl Csv {
             drops.overflow,
             drops.light_late,
         )?;
-        for column in columns {
+        for column in self.passes {
             match passes.iter().find(|pass| pass.name == *column) {
                 Some(pass) => write!(self.file, ",{:.3}", pass.gpu_ms)?,
                 None => write!(self.file, ",")?,
@@ -283,7 +297,7 @@ mod tests {
             new_picture: true,
             arrived: at(0),
             decoded: at(4_000),
-            light_arrived: (frame != 1).then_some(at(6_000)),
+            light: (frame != 1).then_some(LightTimes { published: at(5_000), arrived: at(6_000) }),
             paired: at(24_000),
             uploaded: at(25_000),
             begun: at(25_500),
@@ -297,7 +311,7 @@ mod tests {
     fn csv_has_one_column_for_every_value() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("stats.csv");
-        let mut stats = Stats::open(Some(&path)).unwrap();
+        let mut stats = Stats::open(Some(&path), &["shadow", "view"]).unwrap();
         for frame in 0..3 {
             let passes = [PassTime { name: "shadow", gpu_ms: 1.5 }, PassTime { name: "view", gpu_ms: 2.25 }];
             stats.presented(&times(frame), if frame == 2 { &passes[1..] } else { &passes });
@@ -311,7 +325,7 @@ mod tests {
         assert_eq!(lines.len(), 4);
         assert!(lines[0].ends_with("decode_backlog,decode_superseded,gpu_shadow_ms,gpu_view_ms"));
         assert!(lines.iter().all(|line| line.split(',').count() == lines[0].split(',').count()));
-        assert_eq!(lines[1], "0,0,0,4000,6000,24000,25000,27000,30000,24000,30000,20000,0,0,0,0,0,0,0,1.500,2.250");
+        assert_eq!(lines[1], "0,0,0,4000,6000,24000,25000,27000,30000,1000,25000,30000,20000,0,0,0,0,0,0,0,0,1.500,2.250");
         assert!(lines[2].starts_with("1,33000,33000,37000,,57000,"));
         assert!(lines[3].ends_with(",,2.250"));
         let printed = summary.to_string();
@@ -321,12 +335,12 @@ mod tests {
 
     #[test]
     fn a_full_disk_ends_the_file_and_nothing_else() {
-        let mut stats = Stats::open(Some(Path::new("/dev/full"))).unwrap();
+        let mut stats = Stats::open(Some(Path::new("/dev/full")), &[]).unwrap();
         for frame in 0..1_000 {
             stats.presented(&times(frame), &[]);
         }
         assert_eq!(stats.finish().unwrap().frames(), 1_000);
-        let error = Stats::open(Some(Path::new("/nowhere/stats.csv"))).err().unwrap().to_string();
+        let error = Stats::open(Some(Path::new("/nowhere/stats.csv")), &[]).err().unwrap().to_string();
         assert!(error.contains("/nowhere/stats.csv") && error.contains("folder"), "{error}");
     }
 }

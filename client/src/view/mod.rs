@@ -41,6 +41,9 @@ use shadows::Frustum;
 use stage::Stage;
 use timing::PassTimer;
 
+/// Passes that a frame may have, in order.
+pub const PASSES: [&str; 7] = ["shadow 1", "shadow 2", "shadow 3", "shadow 4", "reflections", "objects", "composite"];
+
 /// Most views of one frame.
 pub const MAX_VIEWS: usize = 4;
 

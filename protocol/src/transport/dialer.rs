@@ -36,7 +36,7 @@ pub enum DialError {
     #[error("{url}: the server's certificate has fingerprint {got}, the join URL says {expected}; ask the host for the current join URL")]
     WrongFingerprint {
         /// The endpoint.
-        url: Url,
+        url: String,
         /// Of the certificate seen, hexadecimal.
         got: String,
         /// Of the join URL, hexadecimal.
@@ -46,7 +46,7 @@ pub enum DialError {
     #[error("{url}: {fault}")]
     Connect {
         /// The endpoint.
-        url: Url,
+        url: String,
         /// What happened.
         fault: String,
     },
@@ -135,7 +135,7 @@ impl Dialer {
     }
 
     fn fault(&self, fault: String) -> DialError {
-        DialError::Connect { url: self.endpoint.clone(), fault }
+        DialError::Connect { url: self.endpoint.to_string(), fault }
     }
 
     fn connect_fault(&self, error: &web_transport_quinn::ClientError) -> DialError {
@@ -146,7 +146,7 @@ impl Dialer {
             Some((words.next()?.to_owned(), words.next()?.to_owned()))
         });
         match found {
-            Some((got, expected)) => DialError::WrongFingerprint { url: self.endpoint.clone(), got, expected },
+            Some((got, expected)) => DialError::WrongFingerprint { url: self.endpoint.to_string(), got, expected },
             None => self.fault(text),
         }
     }

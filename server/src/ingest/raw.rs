@@ -213,7 +213,7 @@ impl HeaderParser {
         // SAFETY: a null return is checked; the fields set are plain flags.
         unsafe {
             let mut parser = NonNull::new(ffi::av_parser_init(ffi::AVCodecID::from(id) as i32))?;
-            parser.as_mut().flags |= ffi::PARSER_FLAG_COMPLETE_FRAMES as i32;
+            parser.as_mut().flags |= ffi::PARSER_FLAG_COMPLETE_FRAMES;
             let mut context = Context::new();
             (*context.as_mut_ptr()).codec_id = id.into();
             (*context.as_mut_ptr()).codec_type = ffi::AVMediaType::AVMEDIA_TYPE_VIDEO;

@@ -63,7 +63,7 @@ impl Parameters {
             }
         }
         check_size(&format!("synthetic:{name}"), parameters.width, parameters.height)?;
-        if parameters.width % 2 != 0 || parameters.height % 2 != 0 {
+        if !parameters.width.is_multiple_of(2) || !parameters.height.is_multiple_of(2) {
             return Err(bad(format!("size {}x{} is odd", parameters.width, parameters.height)));
         }
         Ok(parameters)

@@ -31,12 +31,13 @@ impl FrameSource for TestCard {
 
     fn frame(&mut self, index: u64, out: &mut frame::Video) {
         let turn = index as f64 / (8.0 * self.frame_rate);
-        for plane in 0..3 {
+        for plane in [0, 1, 2] {
             let (width, height) = (out.plane_width(plane) as usize, out.plane_height(plane) as usize);
             let row: Vec<u8> = (0..width)
                 .map(|x| {
                     let u = ((x as f64 + 0.5) / width as f64 + turn).fract();
-                    BARS[(u * BARS.len() as f64) as usize % BARS.len()][plane]
+                    let bar = BARS[(u * BARS.len() as f64) as usize % BARS.len()];
+                    bar[plane]
                 })
                 .collect();
             let stride = out.stride(plane);
@@ -51,7 +52,7 @@ impl FrameSource for TestCard {
 impl TestCard {
     /// Blocks in the lowest eighth, least bit first; grey, so that only luma tells.
     fn number(&self, index: u64, out: &mut frame::Video) {
-        for plane in 0..3 {
+        for plane in [0, 1, 2] {
             let (width, height) = (out.plane_width(plane) as usize, out.plane_height(plane) as usize);
             let stride = out.stride(plane);
             for line in out.data_mut(plane).chunks_mut(stride).take(height).skip(height - height / 8) {

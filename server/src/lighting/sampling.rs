@@ -2,7 +2,7 @@
 //! (fractional pixels at the edges included) of the codes under it.
 //!
 //! A row of blocks is made in two passes. Downwards, whole source rows are added with integer weights that sum
-//! to [`unit`], so that a 16-bit sum cannot overflow and eight pixels are added at a time. Across, a running sum
+//! to [`unit()`], so that a 16-bit sum cannot overflow and eight pixels are added at a time. Across, a running sum
 //! of that row is read at the block edges.
 
 use ffmpeg_next::format::Pixel;
@@ -173,7 +173,7 @@ impl VideoSampler {
     /// by averaging before decoding is lost to contrast, which is in the luma.
     pub(super) fn codes(&mut self, view: &VideoView<'_>, row: u32, grid: Grid, codes: &mut Planes) {
         let blocks = CHROMA_TEXELS * grid.supersample;
-        if row % blocks == 0 {
+        if row.is_multiple_of(blocks) {
             self.tint_row(view, row / blocks, grid);
         }
         let [luma, ..] = &view.planes;
@@ -250,7 +250,7 @@ fn across(sums: &[u16], running: &mut Vec<u32>, edges: &Edges, scale: f32, out: 
         total = total.wrapping_add(ab.wrapping_add(c.wrapping_add(d)));
     }
     let scale = scale * edges.inverse_width();
-    let (sums, running) = (&sums[..], &running[..sums.len()]);
+    let running = &running[..sums.len()];
     let last = sums.len() - 1;
     let read = |edge: &Edge| {
         let pixel = (edge.pixel as usize).min(last);

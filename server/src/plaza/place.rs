@@ -87,6 +87,7 @@ impl Place {
 }
 
 /// A house's roof; flat where it does not rise.
+#[derive(Clone, Copy)]
 struct Roof {
     rise: f32,
     hip: f32,

@@ -233,7 +233,10 @@ mod tests {
         let sky = Sky::new(&PlazaConfig::default());
         // 0.533° across is 6.8e-5 sr.
         assert!((sun_solid_angle_sr() - 6.796e-5).abs() < 1e-8, "{}", sun_solid_angle_sr());
-        assert!((sky.sun_irradiance / sun_solid_angle_sr()).min_element() > 10_000.0, "a clear day's sun is tens of thousands of times display white");
+        assert!(
+            (sky.sun_irradiance / sun_solid_angle_sr()).min_element() > 10_000.0,
+            "a clear day's sun is tens of thousands of times display white"
+        );
     }
 
     #[test]

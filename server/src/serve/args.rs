@@ -51,7 +51,7 @@ pub struct ServeArgs {
     /// Where the eyes' views lie [default: what the source says].
     #[arg(long, value_enum)]
     pub stereo: Option<StereoArg>,
-    /// equirect, cubemap, eac, or dual-fisheye[:DEGREES] [default: what the source says].
+    /// equirect, cubemap, eac, dual-fisheye or dual-fisheye:DEGREES [default: what the source says].
     #[arg(long, value_name = "NAME")]
     pub projection: Option<Projection>,
     /// Transcode wider video down to this many columns.
