@@ -18,7 +18,7 @@ use crate::sync::Drops;
 /// Most passes and most tracks told apart; names come from the program and from the catalog.
 const MAX_NAMES: usize = 64;
 /// Columns before those of the passes.
-const COLUMNS: &str = "frame,pts_us,arrived_us,decoded_us,light_arrived_us,paired_us,uploaded_us,rendered_us,presented_us,light_age_us,video_age_us,\
+const COLUMNS: &str = "frame,pts_us,arrived_us,decoded_us,light_pts_us,light_arrived_us,paired_us,uploaded_us,rendered_us,presented_us,light_age_us,video_age_us,\
 playout_delay_us,dropped_superseded,dropped_no_light,dropped_late,dropped_overflow,light_late,decode_errors,decode_backlog";
 
 /// GPU time of one pass.
@@ -43,6 +43,8 @@ pub struct FrameTimes {
     pub arrived: ClientTime,
     /// When the picture left the decoder.
     pub decoded: ClientTime,
+    /// Pts of the light it is shown with, if any: its own, unless pairing has failed.
+    pub light_pts_us: Option<u64>,
     /// When its light had arrived, if it has one.
     pub light_arrived: Option<ClientTime>,
     /// When both were handed to the renderer.
@@ -192,11 +194,12 @@ impl Csv {
         let [_, _, errors, _, backlog] = decode;
         write!(
             self.file,
-            "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{errors},{backlog}",
+            "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{errors},{backlog}",
             times.frame,
             times.pts_us,
             times.arrived.0,
             times.decoded.0,
+            optional(times.light_pts_us),
             optional(light.map(|l| l.0)),
             times.paired.0,
             times.uploaded.0,
@@ -283,6 +286,7 @@ mod tests {
             new_picture: true,
             arrived: at(0),
             decoded: at(4_000),
+            light_pts_us: (frame != 1).then_some(frame * 33_000),
             light_arrived: (frame != 1).then_some(at(6_000)),
             paired: at(24_000),
             uploaded: at(25_000),
@@ -311,8 +315,8 @@ mod tests {
         assert_eq!(lines.len(), 4);
         assert!(lines[0].ends_with("decode_backlog,gpu_shadow_ms,gpu_view_ms"));
         assert!(lines.iter().all(|line| line.split(',').count() == lines[0].split(',').count()));
-        assert_eq!(lines[1], "0,0,0,4000,6000,24000,25000,27000,30000,24000,30000,20000,0,0,0,0,0,0,0,1.500,2.250");
-        assert!(lines[2].starts_with("1,33000,33000,37000,,57000,"));
+        assert_eq!(lines[1], "0,0,0,4000,0,6000,24000,25000,27000,30000,24000,30000,20000,0,0,0,0,0,0,0,1.500,2.250");
+        assert!(lines[2].starts_with("1,33000,33000,37000,,,57000,"));
         assert!(lines[3].ends_with(",,2.250"));
         let printed = summary.to_string();
         assert!(printed.contains("7 without light") && printed.contains("track video: 2 frames, 1500 bytes"), "{printed}");
