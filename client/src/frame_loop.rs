@@ -308,7 +308,7 @@ impl FrameLoop {
 
     fn light_times(&self, light: &ReceivedLight) -> Option<LightTimes> {
         let published = self.server_clock.client_from_server(ServerTime(light.light.published_us), light.arrived)?;
-        Some(LightTimes { published, arrived: light.arrived })
+        Some(LightTimes { pts_us: light.light.pts_us, published, arrived: light.arrived })
     }
 
     fn update(&mut self, stage: &mut impl Stage) -> Result<bool, FrameError> {

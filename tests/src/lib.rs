@@ -1,12 +1,15 @@
 //! Harness of the end-to-end tests and the benches: real processes, measured from outside.
 //!
 //! [`sandbox`] finds the programs and keeps what they write apart from the user's own files, [`process`] starts
-//! them and reads what they say, [`usage`] and [`ports`] ask the system about them. [`samples`] reads what
+//! them and reads what they say, [`usage`] and [`ports`] ask the system about them. [`clips`] makes what they are fed,
+//! [`probe`] is a peer without a picture. [`samples`] reads what
 //! `--stats` wrote; [`chart`] and [`table`] write what came out; [`network`] is a bench made of these.
 
 pub mod chart;
+pub mod clips;
 pub mod network;
 pub mod ports;
+pub mod probe;
 pub mod process;
 pub mod samples;
 pub mod sandbox;

@@ -18,7 +18,7 @@ use crate::sync::Drops;
 /// Most passes and most tracks told apart; names come from the program and from the catalog.
 const MAX_NAMES: usize = 64;
 /// Columns before those of the passes.
-const COLUMNS: &str = "frame,pts_us,arrived_us,decoded_us,light_arrived_us,paired_us,uploaded_us,rendered_us,presented_us,network_us,light_age_us,video_age_us,\
+const COLUMNS: &str = "frame,pts_us,arrived_us,decoded_us,light_pts_us,light_arrived_us,paired_us,uploaded_us,rendered_us,presented_us,network_us,light_age_us,video_age_us,\
 playout_delay_us,dropped_superseded,dropped_no_light,dropped_late,dropped_overflow,light_late,decode_errors,decode_backlog,decode_superseded";
 
 /// GPU time of one pass.
@@ -62,6 +62,8 @@ pub struct FrameTimes {
 /// Times of a LightFrame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LightTimes {
+    /// Its pts: the picture's own, unless pairing has failed.
+    pub pts_us: u64,
     /// When the server published it, on this client's clock (see [`mr360_protocol::clock::ClockOffset`]): the least network
     /// delay counts as none.
     pub published: ClientTime,
@@ -205,11 +207,12 @@ impl Csv {
         let [_, _, errors, _, backlog, superseded] = decode;
         write!(
             self.file,
-            "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{errors},{backlog},{superseded}",
+            "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{errors},{backlog},{superseded}",
             times.frame,
             times.pts_us,
             times.arrived.0,
             times.decoded.0,
+            optional(times.light.map(|light| light.pts_us)),
             optional(times.light.map(|light| light.arrived.0)),
             times.paired.0,
             times.uploaded.0,
@@ -297,7 +300,7 @@ mod tests {
             new_picture: true,
             arrived: at(0),
             decoded: at(4_000),
-            light: (frame != 1).then_some(LightTimes { published: at(5_000), arrived: at(6_000) }),
+            light: (frame != 1).then_some(LightTimes { pts_us: frame * 33_000, published: at(5_000), arrived: at(6_000) }),
             paired: at(24_000),
             uploaded: at(25_000),
             begun: at(25_500),
@@ -325,8 +328,8 @@ mod tests {
         assert_eq!(lines.len(), 4);
         assert!(lines[0].ends_with("decode_backlog,decode_superseded,gpu_shadow_ms,gpu_view_ms"));
         assert!(lines.iter().all(|line| line.split(',').count() == lines[0].split(',').count()));
-        assert_eq!(lines[1], "0,0,0,4000,6000,24000,25000,27000,30000,1000,25000,30000,20000,0,0,0,0,0,0,0,0,1.500,2.250");
-        assert!(lines[2].starts_with("1,33000,33000,37000,,57000,"));
+        assert_eq!(lines[1], "0,0,0,4000,0,6000,24000,25000,27000,30000,1000,25000,30000,20000,0,0,0,0,0,0,0,0,1.500,2.250");
+        assert!(lines[2].starts_with("1,33000,33000,37000,,,57000,"));
         assert!(lines[3].ends_with(",,2.250"));
         let printed = summary.to_string();
         assert!(printed.contains("7 without light") && printed.contains("track video: 2 frames, 1500 bytes"), "{printed}");

@@ -1,0 +1,87 @@
+//! Clips made by the `ffmpeg` command line tool when a test needs them: small, fully known, and nobody's copyright.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, Result, ensure};
+
+use crate::sandbox::Sandbox;
+
+/// Frames between keyframes of [`stereo`], and frames a second: one GOP lasts a second.
+pub const GOP: usize = 15;
+/// Time of one GOP of [`stereo`], microseconds.
+pub const GOP_US: u64 = 1_000_000;
+
+/// Ten seconds of top-bottom stereo, 320×320 at 15 frames/s, H.264 without B frames, with sound: a grey pattern that moves, with
+/// a white patch high up as its light, under noise that holds the bitrate near `kbits` kbit/s. Nothing in it has a colour.
+///
+/// # Errors
+/// When ffmpeg is missing or fails.
+pub fn stereo(sandbox: &Sandbox, name: &str, kbits: u32) -> Result<PathBuf> {
+    let rate = format!("{kbits}k");
+    let gop = GOP.to_string();
+    make(
+        sandbox,
+        name,
+        &[
+            "-f",
+            "lavfi",
+            "-i",
+            "gradients=size=320x160:rate=15:duration=10:c0=0x505050:c1=0xc0c0c0:speed=0.05:seed=7,format=yuv420p,noise=c0s=30:c0f=t,drawbox=x=100:y=30:w=20:h=10:color=white:t=fill",
+            "-f",
+            "lavfi",
+            "-i",
+            "sine=frequency=440:sample_rate=44100:duration=10",
+            "-filter_complex",
+            "[0:v]split[left][copy];[copy]hflip[right];[left][right]vstack[v]",
+            "-map",
+            "[v]",
+            "-map",
+            "1:a",
+            "-c:v",
+            "libx264",
+            "-preset",
+            "ultrafast",
+            "-tune",
+            "zerolatency",
+            "-bf",
+            "0",
+            "-g",
+            &gop,
+            "-sc_threshold",
+            "0",
+            "-b:v",
+            &rate,
+            "-maxrate",
+            &rate,
+            "-bufsize",
+            &rate,
+            "-pix_fmt",
+            "yuv420p",
+            "-c:a",
+            "aac",
+            "-b:a",
+            "64k",
+            "-ac",
+            "2",
+        ],
+    )
+}
+
+/// Runs `ffmpeg ARGUMENTS… NAME` in the sandbox's folder and returns the path of the file it made.
+///
+/// # Errors
+/// When ffmpeg is missing or fails.
+pub fn make(sandbox: &Sandbox, name: &str, arguments: &[&str]) -> Result<PathBuf> {
+    let path = sandbox.path(name);
+    let mut command = Command::new("ffmpeg");
+    command.args(["-hide_banner", "-nostdin", "-loglevel", "error", "-y"]).args(arguments).arg(&path);
+    run(&mut command, &path)?;
+    Ok(path)
+}
+
+fn run(command: &mut Command, path: &Path) -> Result<()> {
+    let output = command.output().context("clips are made by the ffmpeg command line tool; run deploy/setup")?;
+    ensure!(output.status.success(), "{}: ffmpeg failed: {}", path.display(), String::from_utf8_lossy(&output.stderr));
+    Ok(())
+}
