@@ -1,16 +1,19 @@
 //! The product's own method: what stands out of the upper hemisphere becomes at most [`MOST_LIGHTS`] lights, all
 //! else SH.
 //!
-//! Differences from the paper's method: display-linear radiance instead of the inverse tone map's, statistics
+//! Differences from the paper's method: clipped light is recovered from the ground it falls on, display-linear radiance instead of the inverse tone map's, statistics
 //! weighted by solid angle, a threshold that cannot pass the brightest texel, regions that are whole across the
 //! seam and the zenith, directions averaged as vectors, and lights only where they matter to the frame.
 
 use glam::Vec3;
 use mr360_protocol::light::{DirectionalLight, Lift};
+use mr360_protocol::video::Colour;
+use mr360_shaders::colour::radiance_from_code;
 
 use super::candidates::{Candidate, Candidates};
 use super::harmonics::project9;
 use super::panorama::Panorama;
+use super::recovery::recover;
 use super::regions::{Regions, Topology};
 use super::sampling::Grid;
 use super::{Estimate, LightError, LightMethod, StepTimes};
@@ -32,6 +35,8 @@ const LEAST_SHARE: f64 = 0.04;
 /// The default method; see the module.
 pub struct Directional {
     panorama: Panorama,
+    /// Luminance of display white under the lift.
+    white: f32,
     luminance: Vec<f32>,
     regions: Regions,
     candidates: Candidates,
@@ -42,6 +47,7 @@ impl Default for Directional {
     fn default() -> Self {
         Self {
             panorama: Panorama::new(SIZE, Lift::Highlights),
+            white: radiance_from_code(Lift::Highlights, Colour::default(), Vec3::ONE).dot(LUMA),
             luminance: vec![0.0; SIZE.width as usize * UPPER_ROWS],
             regions: Regions::default(),
             candidates: Candidates::default(),
@@ -141,6 +147,10 @@ impl LightMethod for Directional {
 
     fn estimate(&mut self, frame: &Frame, steps: &mut StepTimes) -> Result<&Estimate, LightError> {
         steps.time("sample", || self.panorama.take(frame))?;
+        // True HDR comes without a lift and holds its highlights already.
+        if self.panorama.lift() == self.lift() {
+            steps.time("recover", || recover(&mut self.panorama, self.white, LUMA));
+        }
         let statistics = steps.time("threshold", || self.statistics());
         self.find_lights(&statistics, steps);
         steps.time("sh", || self.estimate.project(&self.panorama, project9));

@@ -17,6 +17,7 @@ mod iorns;
 mod mr360;
 mod panorama;
 mod radiance;
+mod recovery;
 mod regions;
 mod sampling;
 mod steps;

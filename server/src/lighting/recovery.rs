@@ -1,0 +1,84 @@
+//! Energy that clipping took from an LDR frame, as far as the ground gives it away.
+//!
+//! A camera that shows the ground well clips the sun to display white and loses most of its light. The ground has
+//! seen it: lit by irradiance E, ground of albedo ρ sends up radiance ρE/π. Whatever E exceeds what the frame's upper
+//! hemisphere explains is put onto its clipped texels, in proportion to what they hold. The albedo is assumed, so the
+//! result is an estimate; true HDR frames and frames without clipped texels are left as they are.
+
+use glam::Vec3;
+
+use super::panorama::Panorama;
+
+/// Albedo of the ground: soil, grass, paving and floors lie between 0.1 and 0.5, most of them about here.
+const GROUND_ALBEDO: f64 = 0.3;
+/// A texel counts as clipped from this share of display white's lifted luminance on. Under the highlights' lift
+/// that is code 0.96: the blocks that a texel averages need not all be clipped.
+const CLIPPED_SHARE: f32 = 0.7;
+/// The sky is never made more than this many times as bright as it was: a bright floor in a dim room is a bright floor.
+const MOST_GAIN: f64 = 5.0;
+/// The ground is what lies at least this far below the horizon, as the sine of the angle: nearer to it stand houses and trees.
+const GROUND_SINE: f32 = 0.25;
+
+/// What the upper hemisphere and the ground hold.
+#[derive(Default)]
+struct Balance {
+    /// Luminous irradiance on level ground.
+    irradiance: f64,
+    /// Part of it that clipped texels give.
+    clipped: f64,
+    /// Luminance of the ground, and the weight of its mean.
+    ground: f64,
+    ground_weight: f64,
+}
+
+/// Brightens the clipped texels of the upper hemisphere so that its irradiance explains the ground.
+/// `white` is the lifted luminance of display white, `luma` the luminance weights.
+pub(super) fn recover(panorama: &mut Panorama, white: f32, luma: Vec3) {
+    let threshold = CLIPPED_SHARE * white;
+    let balance = weigh(panorama, threshold, luma);
+    if balance.clipped <= 0.0 || balance.ground_weight <= 0.0 {
+        return;
+    }
+    let explained = std::f64::consts::PI * (balance.ground / balance.ground_weight) / GROUND_ALBEDO;
+    let missing = explained.min(MOST_GAIN * balance.irradiance) - balance.irradiance;
+    if missing > 0.0 {
+        brighten(panorama, threshold, luma, (1.0 + missing / balance.clipped) as f32);
+    }
+}
+
+fn luminance(panorama: &Panorama, row: usize, luma: Vec3) -> impl Iterator<Item = f32> + '_ {
+    let [red, green, blue] = [0, 1, 2].map(|channel| panorama.row(channel, row));
+    red.iter().zip(green).zip(blue).map(move |((r, g), b)| luma.x * r + luma.y * g + luma.z * b)
+}
+
+fn weigh(panorama: &Panorama, threshold: f32, luma: Vec3) -> Balance {
+    let mut balance = Balance::default();
+    for row in 0..panorama.size.height as usize {
+        let sine = panorama.geometry.sin_cos_latitude[row].0;
+        let weight = f64::from(panorama.geometry.solid_angle_sr[row] * sine.abs());
+        if sine > 0.0 {
+            let (mut all, mut clipped) = (0.0f32, 0.0f32);
+            for y in luminance(panorama, row, luma) {
+                all += y;
+                clipped += if y >= threshold { y } else { 0.0 };
+            }
+            balance.irradiance += f64::from(all) * weight;
+            balance.clipped += f64::from(clipped) * weight;
+        } else if sine <= -GROUND_SINE {
+            balance.ground += luminance(panorama, row, luma).map(f64::from).sum::<f64>() * weight;
+            balance.ground_weight += weight * f64::from(panorama.size.width);
+        }
+    }
+    balance
+}
+
+fn brighten(panorama: &mut Panorama, threshold: f32, luma: Vec3, gain: f32) {
+    let width = panorama.size.width as usize;
+    let upper = panorama.geometry.sin_cos_latitude.iter().take_while(|(sine, _)| *sine > 0.0).count() * width;
+    for texel in 0..upper {
+        let radiance = panorama.radiance(texel);
+        if radiance.dot(luma) >= threshold {
+            panorama.set_radiance(texel, radiance * gain);
+        }
+    }
+}
