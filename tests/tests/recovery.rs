@@ -110,8 +110,8 @@ fn a_viewer_that_stops_reading_harms_no_one() -> Result<()> {
     let mut other = watch(&sandbox, "other", &server.join_url)?;
     let mut stopped = watch(&sandbox, "stopped", &server.join_url)?;
     let probe = Probe::join(&server.join_url)?;
-    // The server keeps four seconds of media for late joiners; it is full by then.
-    probe.lights(8 * clips::GOP)?;
+    // The transport keeps groups for ten seconds; its cache is full by then.
+    probe.lights(15 * clips::GOP)?;
     let before = usage::memory(server.program.id())?;
     stopped.signal(Signal::Stop)?;
     let stopped_at = probe.pts_after(1)?;
