@@ -25,7 +25,8 @@ fn output_of_failure(command: &mut Command, code: i32, words: &[&str]) -> Result
     ensure!(status.code() == Some(code), "expected exit code {code}; {}", context());
     ensure!(!output.contains("panicked"), "{}", context());
     // Libraries print errors of their own before; the program's is the last, and clap's is followed by usage.
-    let from_error = output.rfind("error: ").map(|at| &output[at..]).with_context(context)?;
+    let from_error = output.rfind("\nerror: ").map_or(output.as_str(), |at| &output[at..]);
+    ensure!(from_error.contains("error: "), "no error; {}", context());
     for word in words {
         ensure!(from_error.contains(word), "{word:?} is not in the error; {}", context());
     }
@@ -51,11 +52,11 @@ fn join(sandbox: &Sandbox, url: &str, arguments: &[&str]) -> Result<Command> {
 #[test]
 fn a_server_without_a_usable_source_says_so() -> Result<()> {
     let sandbox = Sandbox::new()?;
-    let video = |name: &str, size: &str| clips::make(&sandbox, name, &["-f", "lavfi", "-i", &format!("testsrc=size={size}:duration=1")]);
+    let video = |name: &str, size: &str| clips::make(&sandbox, name, &format!("-f lavfi -i testsrc=size={size}:duration=1"));
     let whole = std::fs::read(video("whole.mp4", "64x32")?)?;
     video("square.mp4", "64x64")?;
-    clips::make(&sandbox, "dot.mkv", &["-f", "lavfi", "-i", "color=size=16x16:duration=1", "-vf", "scale=1:1", "-c:v", "ffv1"])?;
-    clips::make(&sandbox, "sound.m4a", &["-f", "lavfi", "-i", "sine=duration=1"])?;
+    clips::make(&sandbox, "dot.mkv", "-f lavfi -i color=size=16x16:duration=1 -vf scale=1:1 -c:v ffv1")?;
+    clips::make(&sandbox, "sound.m4a", "-f lavfi -i sine=duration=1")?;
     std::fs::write(sandbox.path("zero.mp4"), b"")?;
     std::fs::write(sandbox.path("text.mp4"), b"This is a letter, not a video.\n".repeat(40))?;
     // The index of an MP4 file stands at its end.

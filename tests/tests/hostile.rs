@@ -196,7 +196,9 @@ fn a_wish_moves_the_object_for_everyone_and_senseless_wishes_move_nothing() -> R
     unknown_version[0] = 99;
     lies.extend([Bytes::from(out_of_range), Bytes::from(unknown_version), noise(7, 4 << 20), Bytes::new()]);
     let _rogue_broadcast = publish_intents(&rogue, "rogue", lies)?;
-    for refusal in ["intent: position is out of range", "intent: wire version 99", "intent: malformed (4194304 bytes", "intent: malformed (empty"] {
+    for refusal in
+        ["intent: position is out of range", "intent: wire version 99", "intent: malformed (4194304 bytes", "intent: malformed (empty"]
+    {
         server.program.wait_for_text(refusal, LONG)?;
     }
 
