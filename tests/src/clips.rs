@@ -18,11 +18,13 @@ pub const GOP_US: u64 = 1_000_000;
 /// # Errors
 /// When ffmpeg is missing or fails.
 pub fn stereo(sandbox: &Sandbox, name: &str, kbits: u32) -> Result<PathBuf> {
-    let rate = format!("{kbits}k");
-    let gop = GOP.to_string();
+    // One eye's view: 2:1, moving, with noise in luma alone.
+    let view = "gradients=size=320x160:rate=15:duration=10:c0=0x505050:c1=0xc0c0c0:speed=0.05:seed=7,format=yuv420p,\
+                noise=c0s=60:c0f=t,drawbox=x=100:y=30:w=20:h=10:color=white:t=fill";
     make(
         sandbox,
         name,
+<<<<<<< HEAD
         &[
             "-f",
             "lavfi",
@@ -65,17 +67,25 @@ pub fn stereo(sandbox: &Sandbox, name: &str, kbits: u32) -> Result<PathBuf> {
             "-ac",
             "2",
         ],
+=======
+        &format!(
+            "-f lavfi -i {view} -f lavfi -i sine=frequency=440:sample_rate=44100:duration=10 \
+             -filter_complex [0:v]split[left][copy];[copy]hflip[right];[left][right]vstack[v] -map [v] -map 1:a \
+             -c:v libx264 -preset ultrafast -tune zerolatency -bf 0 -g {GOP} -sc_threshold 0 -pix_fmt yuv420p \
+             -b:v {kbits}k -maxrate {kbits}k -bufsize {kbits}k -c:a aac -b:a 64k -ac 2"
+        ),
+>>>>>>> e2e
     )
 }
 
-/// Runs `ffmpeg ARGUMENTS… NAME` in the sandbox's folder and returns the path of the file it made.
+/// Runs `ffmpeg ARGUMENTS… NAME` and returns the path of the file it made in the sandbox. `arguments` are parted by white space.
 ///
 /// # Errors
 /// When ffmpeg is missing or fails.
-pub fn make(sandbox: &Sandbox, name: &str, arguments: &[&str]) -> Result<PathBuf> {
+pub fn make(sandbox: &Sandbox, name: &str, arguments: &str) -> Result<PathBuf> {
     let path = sandbox.path(name);
     let mut command = Command::new("ffmpeg");
-    command.args(["-hide_banner", "-nostdin", "-loglevel", "error", "-y"]).args(arguments).arg(&path);
+    command.args(["-hide_banner", "-nostdin", "-loglevel", "error", "-y"]).args(arguments.split_whitespace()).arg(&path);
     run(&mut command, &path)?;
     Ok(path)
 }
