@@ -6,8 +6,10 @@ use bytemuck::{Pod, Zeroable};
 
 /// Most lights that shade a surface one by one.
 pub const SHADED_LIGHTS: usize = 8;
-/// Points of the disc that soft shadows and glossy lobes are sampled with.
-pub const DISC_POINTS: usize = 16;
+/// Most spheres that stand for objects where they hide the sky.
+pub const MAX_OCCLUDERS: usize = 64;
+/// Texels on a side of a shadow map.
+pub const SHADOW_MAP_SIZE: u32 = 1024;
 
 /// `View`: one eye's camera.
 #[repr(C)]
@@ -23,10 +25,12 @@ pub struct View {
     pub eye: u32,
     /// Pixels.
     pub size_px: [f32; 2],
-    /// 1 where the shader encodes sRGB.
-    pub encode_srgb: u32,
+    /// Corner of the part of the image that the layer holds, pixels.
+    pub layer_origin: [f32; 2],
+    /// Size of that part, pixels.
+    pub layer_size: [f32; 2],
     /// Unused.
-    pub padding: u32,
+    pub padding: [f32; 2],
 }
 
 /// `Light`: one directional light.
@@ -47,8 +51,10 @@ pub struct Light {
     pub shadow_half_width_m: f32,
     /// Metres.
     pub shadow_range_m: f32,
+    /// Metres.
+    pub shadow_texel_m: f32,
     /// Unused.
-    pub padding: [f32; 2],
+    pub padding: f32,
 }
 
 /// `Lighting`: the light of the frame and what it needs to know of the scene.
@@ -57,22 +63,28 @@ pub struct Light {
 pub struct Lighting {
     /// RGB and a pad.
     pub sh: [[f32; 4]; 25],
-    /// x, y and pads.
-    pub disc: [[f32; 4]; DISC_POINTS],
+    /// Irradiance on the ground from the SH.
+    pub ground_ambient: [f32; 3],
+    /// Lights in use.
+    pub light_count: u32,
+    /// Irradiance on the ground without objects.
+    pub ground_before: [f32; 3],
+    /// Lights with shadow maps, the first ones.
+    pub shadow_count: u32,
+    /// Irradiance on the ground from lights without shadow maps.
+    pub ground_unshadowed: [f32; 3],
+    /// Occluders in use.
+    pub occluder_count: u32,
+    /// Of the ground as the video shows it.
+    pub ground_reflectance: [f32; 3],
+    /// Metres.
+    pub ground_y: f32,
     /// Strongest first.
     pub lights: [Light; SHADED_LIGHTS],
     /// x and z, metres.
     pub ground_min: [f32; 2],
     /// x and z, metres.
     pub ground_max: [f32; 2],
-    /// Metres.
-    pub ground_y: f32,
-    /// 9 or 25.
-    pub sh_count: u32,
-    /// Lights in use.
-    pub light_count: u32,
-    /// Occluders in use.
-    pub occluder_count: u32,
 }
 
 /// `Occluder`: a sphere that stands for an object or a part of it.
@@ -123,16 +135,8 @@ pub struct Video {
     pub eye_rect: [[f32; 4]; 2],
     /// As sampled.
     pub yuv_offset: [f32; 3],
-    /// By [`crate::source::transfer_index`].
-    pub transfer: u32,
     /// In frame widths.
     pub chroma_shift_u: f32,
-    /// 1 for three planes.
-    pub planar: u32,
-    /// By [`crate::source::lift_index`].
-    pub lift: u32,
-    /// Unused.
-    pub padding: u32,
 }
 
 /// `Lift`: what the reflection map is made with.
@@ -149,10 +153,6 @@ pub struct Lift {
     pub samples: u32,
     /// Lights in use.
     pub light_count: u32,
-    /// 9 or 25.
-    pub sh_count: u32,
-    /// Unused.
-    pub padding: [u32; 3],
 }
 
 /// `Caster`: one light's view of the objects.
@@ -233,19 +233,42 @@ mod tests {
 
     #[test]
     fn mirrors_match_the_shaders() {
-        mirrors!(Object, View { clip_from_world, world_from_ndc, position, eye, size_px, encode_srgb, padding });
+        mirrors!(Object, View { clip_from_world, world_from_ndc, position, eye, size_px, layer_origin, layer_size, padding });
         mirrors!(
             Object,
-            Light { shadow_from_world, direction, tan_radius, irradiance, shadow_layer, shadow_half_width_m, shadow_range_m, padding }
+            Light {
+                shadow_from_world,
+                direction,
+                tan_radius,
+                irradiance,
+                shadow_layer,
+                shadow_half_width_m,
+                shadow_range_m,
+                shadow_texel_m,
+                padding
+            }
         );
-        mirrors!(Object, Lighting { sh, disc, lights, ground_min, ground_max, ground_y, sh_count, light_count, occluder_count });
+        mirrors!(
+            Object,
+            Lighting {
+                sh,
+                ground_ambient,
+                light_count,
+                ground_before,
+                shadow_count,
+                ground_unshadowed,
+                occluder_count,
+                ground_reflectance,
+                ground_y,
+                lights,
+                ground_min,
+                ground_max
+            }
+        );
         mirrors!(Object, Occluder { center, radius, albedo, object });
         mirrors!(Object, Instance { world_from_object, normal_from_object, base_color, roughness, metallic, glass, object, padding });
-        mirrors!(
-            Object,
-            Video { rgb_from_yuv, bt709_from_primaries, eye_rect, yuv_offset, transfer, chroma_shift_u, planar, lift, padding }
-        );
-        mirrors!(EnvironmentLift, Lift { sh, lights, size_px, samples, light_count, sh_count, padding });
+        mirrors!(Object, Video { rgb_from_yuv, bt709_from_primaries, eye_rect, yuv_offset, chroma_shift_u });
+        mirrors!(EnvironmentLift, Lift { sh, lights, size_px, samples, light_count });
         mirrors!(Caster, Caster { clip_from_world });
         mirrors!(Probe, Probe { direction, transfer, code, padding });
         mirrors!(Probe, ProbeResult { irradiance, u, linear, v, round_trip, padding });

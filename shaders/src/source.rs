@@ -3,11 +3,13 @@
 //! A line `#import "name.wgsl"` stands for the text of that file, at its first mention. Constants that the CPU
 //! twins use too are written from their Rust values, so the two cannot drift apart.
 
+use std::f32::consts::PI;
 use std::fmt::Write as _;
 
 use mr360_protocol::light::Lift;
 use mr360_protocol::video::Transfer;
 
+use crate::layout::{MAX_OCCLUDERS, SHADOW_MAP_SIZE};
 use crate::{colour, sh};
 
 /// Largest radiance a shader passes on: the largest finite half float.
@@ -24,8 +26,45 @@ pub const ROUGH_TO: f32 = 0.9;
 pub const MIRROR_FROM: f32 = 0.05;
 /// Perceptual roughness from which lights have their whole highlight.
 pub const MIRROR_TO: f32 = 0.15;
+/// GGX alpha below which a lobe is as good as a cone.
+pub const MIRROR_ALPHA: f32 = 0.02;
 /// Refractive index of glass.
 pub const GLASS_IOR: f32 = 1.5;
+
+/// What a surface is shaded with; each kind has a pipeline of its own, which does no more than it needs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Surface {
+    /// Spherical harmonics alone.
+    Rough,
+    /// One cone of the panorama.
+    Mirror,
+    /// A lobe over the reflection map, and spherical harmonics where it is wide.
+    Glossy,
+    /// All of these: a texture says which.
+    Varying,
+    /// Clear glass.
+    Glass,
+}
+
+impl Surface {
+    /// The kind of a surface with one roughness all over.
+    #[must_use]
+    pub fn of(roughness: f32, glass: bool) -> Self {
+        let roughness = roughness.clamp(0.0, 1.0);
+        match roughness {
+            _ if glass => Self::Glass,
+            r if r >= ROUGH_TO => Self::Rough,
+            r if r * r < MIRROR_ALPHA => Self::Mirror,
+            _ => Self::Glossy,
+        }
+    }
+
+    /// Its number in the shaders.
+    #[must_use]
+    pub fn index(self) -> u32 {
+        self as u32
+    }
+}
 
 /// A shader module: a file with entry points.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -153,9 +192,10 @@ fn prelude() -> String {
     let [hlg_a, hlg_b, hlg_c] = colour::HLG_ABC;
     let [m1, m2] = colour::PQ_M;
     let [c1, c2, c3] = colour::PQ_C;
+    let golden_angle = PI * (3.0 - 5.0f32.sqrt());
     let mut text = String::new();
     for (name, value) in [
-        ("PI", std::f32::consts::PI),
+        ("PI", PI),
         ("HDR_REFERENCE_WHITE", colour::HDR_REFERENCE_WHITE),
         ("HLG_PEAK", colour::HLG_PEAK),
         ("HLG_GAMMA", colour::HLG_GAMMA),
@@ -178,6 +218,10 @@ fn prelude() -> String {
         ("MIRROR_FROM", MIRROR_FROM),
         ("MIRROR_TO", MIRROR_TO),
         ("GLASS_IOR", GLASS_IOR),
+        ("MIRROR_ALPHA", MIRROR_ALPHA),
+        ("GOLDEN_COSINE", golden_angle.cos()),
+        ("GOLDEN_SINE", golden_angle.sin()),
+        ("SHADOW_MAP_SIZE", SHADOW_MAP_SIZE as f32),
     ] {
         // {:?} prints the shortest text that reads back as the same float. Writing to a String cannot fail.
         let _ = writeln!(text, "const {name}: f32 = {value:?};");
@@ -187,6 +231,11 @@ fn prelude() -> String {
         ("TRANSFER_SRGB", transfer_index(Transfer::Srgb)),
         ("TRANSFER_PQ", transfer_index(Transfer::Pq)),
         ("TRANSFER_HLG", transfer_index(Transfer::Hlg)),
+        ("MAX_OCCLUDERS", MAX_OCCLUDERS as u32),
+        ("SURFACE_ROUGH", Surface::Rough.index()),
+        ("SURFACE_MIRROR", Surface::Mirror.index()),
+        ("SURFACE_GLOSSY", Surface::Glossy.index()),
+        ("SURFACE_GLASS", Surface::Glass.index()),
         ("LIFT_INVERSE_TONE_MAP", lift_index(Lift::InverseToneMap)),
         ("LIFT_HIGHLIGHTS", lift_index(Lift::Highlights)),
     ] {

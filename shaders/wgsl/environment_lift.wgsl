@@ -12,10 +12,6 @@ struct Lift {
     // Samples along one side of a texel.
     samples: u32,
     light_count: u32,
-    sh_count: u32,
-    padding_0: u32,
-    padding_1: u32,
-    padding_2: u32,
 }
 
 @group(0) @binding(0) var<uniform> lift: Lift;
@@ -37,10 +33,12 @@ fn fs_lift(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
     var radiance = min(sum / f32(lift.samples * lift.samples), vec3(LARGEST_RADIANCE));
     // A light comes back as its own highlight: what is left in its place is the residual, which the SH hold.
     let direction = direction_from_uv(at.xy / size);
+    var within = false;
     for (var i = 0u; i < lift.light_count; i++) {
-        if dot(direction, lift.lights[i].xyz) >= lift.lights[i].w {
-            radiance = min(radiance, max(sh_sum(lift.sh_count, direction, RADIANCE_BAND), vec3(0.0)));
-        }
+        within = within || dot(direction, lift.lights[i].xyz) >= lift.lights[i].w;
+    }
+    if within {
+        radiance = min(radiance, max(sh_sum(SH_COUNT, direction, RADIANCE_BAND), vec3(0.0)));
     }
     return vec4(radiance, 1.0);
 }

@@ -10,9 +10,10 @@ struct View {
     // 0 left, 1 right.
     eye: u32,
     size_px: vec2<f32>,
-    // 1 where the target stores sRGB codes that the shader must make.
-    encode_srgb: u32,
-    padding: u32,
+    // Corner of the image's part that the layer of objects and ground holds, and that part's size.
+    layer_origin: vec2<f32>,
+    layer_size: vec2<f32>,
+    padding: vec2<f32>,
 }
 
 struct Light {
@@ -28,21 +29,29 @@ struct Light {
     shadow_half_width_m: f32,
     // Metres from depth 0 to depth 1.
     shadow_range_m: f32,
-    padding: vec2<f32>,
+    // Side of a texel of the shadow map, metres.
+    shadow_texel_m: f32,
+    padding: f32,
 }
 
 struct Lighting {
     sh: array<vec4<f32>, 25>,
-    // xy: points spread evenly over the unit disc.
-    disc: array<vec4<f32>, 16>,
+    // Of the ground without objects: irradiance from the spherical harmonics, and from all there is.
+    ground_ambient: vec3<f32>,
+    light_count: u32,
+    ground_before: vec3<f32>,
+    // The first so many lights have shadow maps.
+    shadow_count: u32,
+    // Irradiance on the ground from the lights without shadow maps.
+    ground_unshadowed: vec3<f32>,
+    occluder_count: u32,
+    // Reflectance of the ground as the video shows it.
+    ground_reflectance: vec3<f32>,
+    ground_y: f32,
     lights: array<Light, 8>,
     // Corners of the ground that objects can change, x and z.
     ground_min: vec2<f32>,
     ground_max: vec2<f32>,
-    ground_y: f32,
-    sh_count: u32,
-    light_count: u32,
-    occluder_count: u32,
 }
 
 struct Occluder {
@@ -68,7 +77,7 @@ struct Instance {
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<uniform> lighting: Lighting;
 @group(0) @binding(2) var<storage, read> instances: array<Instance>;
-@group(0) @binding(3) var<storage, read> occluders: array<Occluder>;
+@group(0) @binding(3) var<uniform> occluders: array<Occluder, MAX_OCCLUDERS>;
 @group(0) @binding(4) var shadow_maps: texture_depth_2d_array;
 @group(0) @binding(5) var shadow_sampler: sampler_comparison;
 
@@ -77,15 +86,20 @@ fn sh_at(index: u32) -> vec3<f32> {
 }
 
 fn sh_irradiance(normal: vec3<f32>) -> vec3<f32> {
-    return max(sh_sum(lighting.sh_count, normal, IRRADIANCE_BAND), vec3(0.0));
+    return max(sh_sum(SH_COUNT, normal, IRRADIANCE_BAND), vec3(0.0));
 }
 
 fn sh_radiance(direction: vec3<f32>) -> vec3<f32> {
-    return max(sh_sum(lighting.sh_count, direction, RADIANCE_BAND), vec3(0.0));
+    return max(sh_sum(SH_COUNT, direction, RADIANCE_BAND), vec3(0.0));
 }
 
 // World direction through a point of the image given in pixels.
 fn ray_through(pixel: vec2<f32>) -> vec3<f32> {
     let ndc = vec2(2.0, -2.0) * pixel / view.size_px + vec2(-1.0, 1.0);
     return normalize(view.world_from_ndc * vec3(ndc, 1.0));
+}
+
+// Points spread evenly over the unit disc (Vogel 1979): each turned by the golden angle from the one before.
+fn turned(point: vec2<f32>) -> vec2<f32> {
+    return vec2(dot(point, vec2(GOLDEN_COSINE, -GOLDEN_SINE)), dot(point, vec2(GOLDEN_SINE, GOLDEN_COSINE)));
 }

@@ -24,38 +24,31 @@ fn vs_ground(@builtin(vertex_index) index: u32) -> GroundVertex {
 // beside a contact is itself in shade, and a full series of bounces would glow there.
 fn ground_ratio(world: vec3<f32>) -> vec3<f32> {
     let up = vec3(0.0, 1.0, 0.0);
-    let ambient = sh_irradiance(up);
-    var before = ambient;
-    var direct = vec3(0.0);
+    var direct = lighting.ground_unshadowed;
     var changed = false;
-    for (var i = 0u; i < lighting.light_count; i++) {
+    for (var i = 0u; i < lighting.shadow_count; i++) {
         let light = lighting.lights[i];
-        if light.direction.y <= 0.0 {
-            continue;
-        }
-        let irradiance = light.irradiance * light.direction.y;
         let visibility = light_visibility(i, world, up);
-        changed = changed || visibility < 1.0;
-        before += irradiance;
-        direct += irradiance * visibility;
+        changed = changed || (visibility < 1.0 && light.direction.y > 0.0);
+        direct += light.irradiance * (visibility * max(light.direction.y, 0.0));
     }
-    let safe = max(before, vec3(1e-6));
-    let reflectance = clamp(sh_radiance(-up) * PI / safe, vec3(0.0), vec3(1.0));
+    let ambient = lighting.ground_ambient;
     var kept = vec3(1.0);
-    for (var i = 0u; i < lighting.occluder_count; i++) {
+    var i = next_occluder(0u, world, false, 0u);
+    while i < lighting.occluder_count {
         let occluder = occluders[i];
         let to_center = occluder.center - world;
         let factor = sphere_form_factor(to_center, occluder.radius, up);
-        if factor > 0.0 {
-            changed = true;
-            let hidden = sh_radiance(normalize(to_center)) * PI / max(ambient, vec3(1e-6));
-            kept *= max(1.0 - factor * hidden * (1.0 - occluder.albedo * reflectance), vec3(0.0));
-        }
+        changed = changed || factor > 0.0;
+        let hidden = sh_radiance(normalize(to_center)) * PI / max(ambient, vec3(1e-6));
+        kept *= max(1.0 - factor * hidden * (1.0 - occluder.albedo * lighting.ground_reflectance), vec3(0.0));
+        i = next_occluder(i + 1u, world, false, 0u);
     }
     if !changed {
         return vec3(1.0);
     }
-    let ratio = (ambient * kept + direct) / safe;
+    let before = lighting.ground_before;
+    let ratio = (ambient * kept + direct) / max(before, vec3(1e-6));
     return select(ratio, vec3(1.0), before <= vec3(1e-6));
 }
 
@@ -65,7 +58,7 @@ fn fs_ground(in: GroundVertex) -> @location(0) vec4<f32> {
     if all(ratio == vec3(1.0)) {
         return vec4(0.0);
     }
-    let seen = video_radiance(ray_through(in.clip.xy), view.eye);
+    let seen = video_radiance(ray_through(in.clip.xy + view.layer_origin), view.eye);
     return vec4(min(seen * ratio, vec3(LARGEST_RADIANCE)), 1.0);
 }
 

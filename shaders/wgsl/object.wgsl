@@ -9,12 +9,20 @@
 @group(3) @binding(1) var metallic_roughness_map: texture_2d<f32>;
 @group(3) @binding(2) var material_sampler: sampler;
 
+// What kind of surface a draw has: one of the SURFACE constants.
+override SURFACE: u32 = 3u;
+// The model's textures count.
+override TEXTURED: bool = true;
+
 struct ObjectVertex {
     @builtin(position) clip: vec4<f32>,
     @location(0) world: vec3<f32>,
     @location(1) normal: vec3<f32>,
     @location(2) uv: vec2<f32>,
-    @location(3) @interpolate(flat) instance: u32,
+    // RGB, and roughness.
+    @location(3) @interpolate(flat) base_color: vec4<f32>,
+    @location(4) @interpolate(flat) metallic: f32,
+    @location(5) @interpolate(flat) object: u32,
 }
 
 @vertex
@@ -25,24 +33,38 @@ fn vs_object(
     @builtin(instance_index) index: u32,
 ) -> ObjectVertex {
     let world = instances[index].world_from_object * vec4(position, 1.0);
-    return ObjectVertex(view.clip_from_world * world, world.xyz, instances[index].normal_from_object * normal, uv, index);
+    return ObjectVertex(
+        view.clip_from_world * world,
+        world.xyz,
+        instances[index].normal_from_object * normal,
+        uv,
+        vec4(instances[index].base_color, instances[index].roughness),
+        instances[index].metallic,
+        instances[index].object,
+    );
 }
 
 // Ambient light kept by a surface beside other objects, and what they send back of their own colour.
 fn neighbour_ratio(world: vec3<f32>, normal: vec3<f32>, own: u32) -> vec3<f32> {
     var kept = vec3(1.0);
-    for (var i = 0u; i < lighting.occluder_count; i++) {
+    var i = next_occluder(0u, world, true, own);
+    while i < lighting.occluder_count {
         let occluder = occluders[i];
-        if occluder.object != own {
-            let factor = sphere_form_factor(occluder.center - world, occluder.radius, normal);
-            kept *= 1.0 - factor * (1.0 - occluder.albedo);
-        }
+        let factor = sphere_form_factor(occluder.center - world, occluder.radius, normal);
+        kept *= 1.0 - factor * (1.0 - occluder.albedo);
+        i = next_occluder(i + 1u, world, true, own);
     }
     return kept;
 }
 
 // Reflected radiance: the maps where the surface is smooth, spherical harmonics where it is rough.
 fn reflected(mirror: vec3<f32>, roughness: f32, footprint_sr: f32) -> vec3<f32> {
+    if SURFACE == SURFACE_ROUGH {
+        return sh_irradiance(mirror) / PI;
+    }
+    if SURFACE == SURFACE_MIRROR {
+        return lobe_radiance(mirror, roughness, footprint_sr);
+    }
     let rough = smoothstep(ROUGH_FROM, ROUGH_TO, roughness);
     var sum = vec3(0.0);
     if rough > 0.0 {
@@ -66,24 +88,30 @@ fn through_glass(n: vec3<f32>, v: vec3<f32>, tint: vec3<f32>, mirror: vec3<f32>,
 
 @fragment
 fn fs_object(in: ObjectVertex, @builtin(front_facing) front: bool) -> @location(0) vec4<f32> {
-    let instance = instances[in.instance];
     let v = normalize(view.position - in.world);
     let n = normalize(select(-in.normal, in.normal, front));
     let mirror = reflect(-v, n);
     let dx = dpdx(mirror);
     let dy = dpdy(mirror);
     let footprint_sr = min(length(cross(dx, dy)), 4.0 * PI) + 1e-9;
-    let albedo = instance.base_color * textureSample(base_color_map, material_sampler, in.uv).rgb;
-    let metallic_roughness = textureSample(metallic_roughness_map, material_sampler, in.uv);
-    let roughness = clamp(instance.roughness * metallic_roughness.g, 0.0, 1.0);
-    let metallic = clamp(instance.metallic * metallic_roughness.b, 0.0, 1.0);
+    var albedo = in.base_color.rgb;
+    var roughness = in.base_color.a;
+    var metallic = in.metallic;
+    if TEXTURED {
+        albedo *= textureSample(base_color_map, material_sampler, in.uv).rgb;
+        let metallic_roughness = textureSample(metallic_roughness_map, material_sampler, in.uv);
+        roughness *= metallic_roughness.g;
+        metallic *= metallic_roughness.b;
+    }
+    roughness = clamp(roughness, 0.0, 1.0);
+    metallic = clamp(metallic, 0.0, 1.0);
 
-    if instance.glass == 1u {
+    if SURFACE == SURFACE_GLASS {
         return vec4(min(through_glass(n, v, albedo, mirror, footprint_sr), vec3(LARGEST_RADIANCE)), 1.0);
     }
     let f0 = mix(vec3(0.04), albedo, metallic);
     let weights = ambient_weights(f0, albedo, metallic, max(dot(n, v), 0.0), roughness);
-    let kept = neighbour_ratio(in.world, n, instance.object);
+    let kept = neighbour_ratio(in.world, n, in.object);
     var radiance = weights.specular * reflected(mirror, roughness, footprint_sr) + weights.diffuse * kept * sh_irradiance(n) / PI;
 
     // A mirror shows the light itself in the video; a highlight on top would count it twice.
@@ -92,7 +120,10 @@ fn fs_object(in: ObjectVertex, @builtin(front_facing) front: bool) -> @location(
         let light = lighting.lights[i];
         let cosine = dot(n, light.direction);
         if cosine > 0.0 {
-            let visibility = light_visibility(i, in.world, n);
+            var visibility = 1.0;
+            if i < lighting.shadow_count {
+                visibility = light_visibility(i, in.world, n);
+            }
             let specular = ggx_direct(f0, n, v, light.direction, roughness, light.tan_radius) * highlight;
             radiance += light.irradiance * visibility * (specular + weights.diffuse * cosine / PI);
         }

@@ -22,3 +22,19 @@ fn sphere_form_factor(to_center: vec3<f32>, radius: f32, normal: vec3<f32>) -> f
     }
     return clamp(factor * (1.0 - smoothstep(0.6 * OCCLUDER_REACH, OCCLUDER_REACH, h)), 0.0, 0.999);
 }
+
+// The next occluder from `start` on that reaches a point; occluder_count if none does. Those of object `own` do
+// not count for itself.
+// Searched for ahead of the form factor, whose cost is then paid only by those within reach.
+fn next_occluder(start: u32, world: vec3<f32>, not_own: bool, own: u32) -> u32 {
+    var i = start;
+    for (; i < lighting.occluder_count; i++) {
+        let occluder = occluders[i];
+        let to_center = occluder.center - world;
+        let reach = occluder.radius * OCCLUDER_REACH;
+        if !(not_own && occluder.object == own) && dot(to_center, to_center) < reach * reach {
+            break;
+        }
+    }
+    return i;
+}

@@ -31,25 +31,34 @@ fn cone_radiance(direction: vec3<f32>, solid_angle_sr: f32) -> vec3<f32> {
     return mix(environment_radiance(direction, 0.0), sharp, -level);
 }
 
+// Directions that stand for a lobe.
+const LOBE_TAPS: u32 = 16u;
+
 // GGX lobe of this roughness around the mirror direction; `footprint_sr` is what one pixel spans.
 fn lobe_radiance(mirror: vec3<f32>, roughness: f32, footprint_sr: f32) -> vec3<f32> {
     let alpha = roughness * roughness;
     let lobe_sr = 4.0 * PI * alpha * alpha;
-    if alpha < 0.02 {
+    if SURFACE == SURFACE_MIRROR || (SURFACE != SURFACE_GLOSSY && alpha < MIRROR_ALPHA) {
         return cone_radiance(mirror, lobe_sr + footprint_sr);
     }
     // Rays through normals drawn from the GGX distribution, each standing for its share of the lobe.
     let side = normalize(select(vec3(0.0, 1.0, 0.0), vec3(1.0, 0.0, 0.0), abs(mirror.y) > 0.9));
     let tangent = normalize(cross(side, mirror));
     let bitangent = cross(mirror, tangent);
-    let share_sr = max(lobe_sr / 4.0, footprint_sr);
+    let share_sr = max(lobe_sr * 4.0 / f32(LOBE_TAPS), footprint_sr);
     var sum = vec3(0.0);
-    for (var i = 0u; i < 16u; i++) {
-        let point = lighting.disc[i].xy;
-        let r2 = min(dot(point, point), 0.9);
-        let spread = 2.0 * alpha / sqrt(1.0 - r2);
-        let direction = normalize(mirror + spread * (point.x * tangent + point.y * bitangent));
+    var turn = vec2(1.0, 0.0);
+    var i = 0u;
+    loop {
+        let r2 = (f32(i) + 0.5) / f32(LOBE_TAPS);
+        let spread = 2.0 * alpha * sqrt(r2 / (1.0 - min(r2, 0.9)));
+        let direction = normalize(mirror + spread * (turn.x * tangent + turn.y * bitangent));
         sum += environment_radiance(direction, environment_level(direction, share_sr));
+        continuing {
+            turn = turned(turn);
+            i++;
+            break if i >= LOBE_TAPS;
+        }
     }
-    return sum / 16.0;
+    return sum / f32(LOBE_TAPS);
 }

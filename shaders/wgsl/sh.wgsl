@@ -1,5 +1,8 @@
 // Real spherical harmonics of radiance; twin of shaders/src/sh.rs.
 
+// 9 or 25: how many coefficients the frame's light has.
+override SH_COUNT: u32 = 25u;
+
 // Weighted sum of the basis in a direction; `band` weights bands 0 to 4. The importing module says where the
 // coefficients lie: fn sh_at(index: u32) -> vec3<f32>.
 fn sh_sum(count: u32, d: vec3<f32>, band: array<f32, 5>) -> vec3<f32> {

@@ -1,4 +1,7 @@
 // The decoded video frame, sampled and decoded where it is needed. Filtering is bilinear on the code values.
+//
+// What stays for a whole stream is fixed when the pipeline is made: where pixels run in step, as on a processor
+// without a GPU, a branch not taken costs as much as the one taken.
 
 #import "equirect.wgsl"
 #import "colour.wgsl"
@@ -9,14 +12,18 @@ struct Video {
     // Offset and scale in frame coordinates, left eye and right eye.
     eye_rect: array<vec4<f32>, 2>,
     yuv_offset: vec3<f32>,
-    transfer: u32,
     // Added to u before chroma is sampled: chroma sited on the left luma column (ITU-T H.273 type 0).
     chroma_shift_u: f32,
-    // 1 for Y, Cb, Cr planes, 0 for one RGBA texture.
-    planar: u32,
-    lift: u32,
-    padding: u32,
 }
+
+// Transfer function of the code values.
+override TRANSFER: u32 = 0u;
+// Y, Cb, Cr planes instead of one RGBA texture.
+override PLANAR: bool = false;
+// An eye's panorama spans the frame from left to right.
+override WHOLE_WIDTH: bool = false;
+// How the lights' radiance is made from code values.
+override LIFT: u32 = 0u;
 
 @group(1) @binding(0) var<uniform> video: Video;
 @group(1) @binding(1) var plane_0: texture_2d<f32>;
@@ -29,7 +36,7 @@ struct Video {
 fn plane_sample(plane: texture_2d<f32>, u: f32, v: f32, rect: vec4<f32>) -> vec4<f32> {
     let half_texel = 0.5 / vec2<f32>(textureDimensions(plane));
     let y = clamp(rect.y + v * rect.w, rect.y + half_texel.y, rect.y + rect.w - half_texel.y);
-    if rect.z == 1.0 {
+    if WHOLE_WIDTH {
         return textureSampleLevel(plane, video_sampler, vec2(u, y), 0.0);
     }
     let x = rect.x + fract(u) * rect.z;
@@ -47,7 +54,7 @@ fn plane_sample(plane: texture_2d<f32>, u: f32, v: f32, rect: vec4<f32>) -> vec4
 // R'G'B' code values at a point of one eye's panorama.
 fn video_code(uv: vec2<f32>, eye: u32) -> vec3<f32> {
     let rect = video.eye_rect[eye];
-    if video.planar == 0u {
+    if !PLANAR {
         return plane_sample(plane_0, uv.x, uv.y, rect).rgb;
     }
     let chroma_u = uv.x + video.chroma_shift_u / rect.z;
@@ -60,7 +67,7 @@ fn video_code(uv: vec2<f32>, eye: u32) -> vec3<f32> {
 }
 
 fn linear_from_code(code: vec3<f32>) -> vec3<f32> {
-    let linear = video.bt709_from_primaries * decode_transfer(video.transfer, code);
+    let linear = video.bt709_from_primaries * decode_transfer(TRANSFER, code);
     return clamp(linear, vec3(0.0), vec3(LARGEST_RADIANCE));
 }
 
@@ -71,12 +78,12 @@ fn video_radiance(direction: vec3<f32>, eye: u32) -> vec3<f32> {
 
 // The radiance that lights are taken from; twin of colour::radiance_from_code.
 fn lifted_from_code(code: vec3<f32>) -> vec3<f32> {
-    if video.lift == LIFT_INVERSE_TONE_MAP {
+    if LIFT == LIFT_INVERSE_TONE_MAP {
         return max(code, vec3(0.0)) * iorns_factor(code);
     }
     let linear = linear_from_code(code);
-    let standard = video.transfer == TRANSFER_BT709 || video.transfer == TRANSFER_SRGB;
-    if video.lift == LIFT_HIGHLIGHTS && standard {
+    let standard = TRANSFER == TRANSFER_BT709 || TRANSFER == TRANSFER_SRGB;
+    if LIFT == LIFT_HIGHLIGHTS && standard {
         return linear * (iorns_factor(code) / IORNS_BASE);
     }
     return linear;

@@ -6,7 +6,8 @@ mod upload;
 
 use bytemuck::Zeroable;
 use glam::Mat3;
-use mr360_protocol::video::StereoLayout;
+use mr360_protocol::light::Lift;
+use mr360_protocol::video::{StereoLayout, Transfer};
 use mr360_shaders::colour::{bt709_from_primaries, rgb_from_yuv};
 use mr360_shaders::layout;
 use mr360_shaders::source::{lift_index, transfer_index};
@@ -21,12 +22,42 @@ pub use upload::UploadError;
 use reflection::ReflectionMap;
 use upload::Planes;
 
+/// What stays for a whole stream, and is fixed in pipelines when they are made.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub(crate) struct VideoKind {
+    transfer: u32,
+    planar: bool,
+    whole_width: bool,
+    lift: u32,
+}
+
+impl VideoKind {
+    fn new(picture: &Picture, lift: u32) -> Self {
+        let (transfer, planar) = match &picture.samples {
+            Samples::Yuv { colour, .. } => (colour.transfer, true),
+            Samples::Rgba16F { transfer, .. } => (*transfer, false),
+        };
+        let whole_width = [false, true].iter().all(|right| picture.stereo.eye_rect(*right)[2] == 1.0);
+        Self { transfer: transfer_index(transfer), planar, whole_width, lift }
+    }
+
+    /// Constants of the shaders that see the video.
+    pub(crate) fn constants(self) -> [(&'static str, f64); 4] {
+        [
+            ("TRANSFER", f64::from(self.transfer)),
+            ("PLANAR", f64::from(u8::from(self.planar))),
+            ("WHOLE_WIDTH", f64::from(u8::from(self.whole_width))),
+            ("LIFT", f64::from(self.lift)),
+        ]
+    }
+}
+
 /// The panorama as the shaders see it.
 pub struct Environment {
     layout: wgpu::BindGroupLayout,
     sampler: wgpu::Sampler,
     uniform: wgpu::Buffer,
-    video: layout::Video,
+    kind: VideoKind,
     planes: Planes,
     bind_group: wgpu::BindGroup,
     eye_width: u32,
@@ -60,7 +91,9 @@ impl Environment {
         let eye_rect = [StereoLayout::Mono.eye_rect(false); 2];
         let video = layout::Video { eye_rect, bt709_from_primaries: columns(Mat3::IDENTITY), ..layout::Video::zeroed() };
         gpu.queue.write_buffer(&uniform, 0, bytemuck::bytes_of(&video));
-        Ok(Self { layout, sampler, uniform, video, planes, bind_group, eye_width: 1, reflections, reflections_stale: true })
+        let kind =
+            VideoKind { transfer: transfer_index(Transfer::Linear), planar: false, whole_width: true, lift: lift_index(Lift::Linear) };
+        Ok(Self { layout, sampler, uniform, kind, planes, bind_group, eye_width: 1, reflections, reflections_stale: true })
     }
 
     /// Puts the next picture on the GPU. Textures are kept while size and format stay.
@@ -73,26 +106,29 @@ impl Environment {
             self.bind_group = video_bind_group(&gpu.device, &self.layout, &self.uniform, &self.planes, &self.sampler);
         }
         self.eye_width = picture.stereo.eye_size(picture.width, picture.height).0;
-        let lift = self.video.lift;
-        self.video = layout::Video { lift, ..video_uniform(picture, self.planes.code_scale()) };
-        gpu.queue.write_buffer(&self.uniform, 0, bytemuck::bytes_of(&self.video));
+        self.kind = VideoKind::new(picture, self.kind.lift);
+        gpu.queue.write_buffer(&self.uniform, 0, bytemuck::bytes_of(&video_uniform(picture, self.planes.code_scale())));
         self.reflections_stale = true;
         Ok(())
     }
 
     /// Takes the light that belongs to the picture: its lift, and the lights to leave out of reflections.
-    pub(crate) fn set_light(&mut self, gpu: &Gpu, light: &FrameLight) {
-        self.video.lift = lift_index(light.lift);
-        gpu.queue.write_buffer(&self.uniform, 0, bytemuck::bytes_of(&self.video));
+    pub(crate) fn set_light(&mut self, light: &FrameLight) {
+        self.kind.lift = lift_index(light.lift);
         self.reflections_stale = true;
     }
 
     /// Records the rebuilding of the reflection map, if picture or light changed since the last time.
     pub(crate) fn refresh_reflections(&mut self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder, light: &FrameLight, timer: &mut PassTimer) {
         if self.reflections_stale {
-            self.reflections.record(gpu, encoder, &self.bind_group, self.eye_width, light, timer);
+            self.reflections.record(gpu, encoder, (self.kind, &self.bind_group), self.eye_width, light, timer);
             self.reflections_stale = false;
         }
+    }
+
+    /// What pipelines that see the video are made for.
+    pub(crate) fn kind(&self) -> VideoKind {
+        self.kind
     }
 
     /// Group 1 of the shaders that see the video.
@@ -123,18 +159,10 @@ fn video_uniform(picture: &Picture, code_scale: f32) -> layout::Video {
                 bt709_from_primaries: columns(bt709_from_primaries(colour.primaries)),
                 eye_rect,
                 yuv_offset: (offset / code_scale).to_array(),
-                transfer: transfer_index(colour.transfer),
                 chroma_shift_u: if subsampled { 0.5 / picture.width as f32 } else { 0.0 },
-                planar: 1,
-                ..layout::Video::zeroed()
             }
         }
-        Samples::Rgba16F { transfer, .. } => layout::Video {
-            bt709_from_primaries: columns(Mat3::IDENTITY),
-            eye_rect,
-            transfer: transfer_index(*transfer),
-            ..layout::Video::zeroed()
-        },
+        Samples::Rgba16F { .. } => layout::Video { bt709_from_primaries: columns(Mat3::IDENTITY), eye_rect, ..layout::Video::zeroed() },
     }
 }
 

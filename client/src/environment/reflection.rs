@@ -1,11 +1,13 @@
 //! The reflection map: the left eye's panorama, lifted, without the lights, with a full chain of mips.
 
+use std::collections::HashMap;
+
 use bytemuck::Zeroable;
 use mr360_shaders::layout;
 use mr360_shaders::source::Module;
 
 use super::light::{FrameLight, cos_radius};
-use super::{sampler_entry, texture_entry};
+use super::{VideoKind, sampler_entry, texture_entry};
 use crate::gpu::{Gpu, GpuError};
 use crate::view::timing::PassTimer;
 
@@ -20,7 +22,10 @@ const CUT_MARGIN: f32 = 1.5;
 pub(super) struct ReflectionMap {
     levels: Vec<wgpu::TextureView>,
     bind_group: wgpu::BindGroup,
-    lift: wgpu::RenderPipeline,
+    /// By the kind of video and the number of SH coefficients.
+    lifts: HashMap<(VideoKind, usize), wgpu::RenderPipeline>,
+    lift_shader: wgpu::ShaderModule,
+    lift_layouts: [wgpu::BindGroupLayout; 2],
     lift_uniform: wgpu::Buffer,
     lift_group: wgpu::BindGroup,
     mip: wgpu::RenderPipeline,
@@ -92,9 +97,10 @@ impl ReflectionMap {
             device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some("mip"), layout: &mip_layout, entries })
         };
         let mip_groups = levels.iter().take(levels.len() - 1).map(mip_group).collect();
-        let lift = fullscreen(gpu, Module::EnvironmentLift, "fs_lift", &[Some(&lift_layout), Some(video_layout)])?;
-        let mip = fullscreen(gpu, Module::EnvironmentMip, "fs_mip", &[Some(&mip_layout)])?;
-        Ok(Self { levels, bind_group, lift, lift_uniform, lift_group, mip, mip_groups })
+        let lift_shader = gpu.shader(Module::EnvironmentLift)?;
+        let lift_layouts = [lift_layout, video_layout.clone()];
+        let mip = fullscreen(gpu, &gpu.shader(Module::EnvironmentMip)?, "fs_mip", &[Some(&mip_layout)], &[]);
+        Ok(Self { levels, bind_group, lifts: HashMap::new(), lift_shader, lift_layouts, lift_uniform, lift_group, mip, mip_groups })
     }
 
     pub(super) fn bind_group(&self) -> &wgpu::BindGroup {
@@ -102,15 +108,21 @@ impl ReflectionMap {
     }
 
     pub(super) fn record(
-        &self,
+        &mut self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
-        video: &wgpu::BindGroup,
+        (kind, video): (VideoKind, &wgpu::BindGroup),
         eye_width: u32,
         light: &FrameLight,
         timer: &mut PassTimer,
     ) {
         gpu.queue.write_buffer(&self.lift_uniform, 0, bytemuck::bytes_of(&lift_uniform(eye_width, light)));
+        let lift = self.lifts.entry((kind, light.sh_count)).or_insert_with(|| {
+            let [own, video] = &self.lift_layouts;
+            let [a, b, c, d] = kind.constants();
+            let constants = [a, b, c, d, ("SH_COUNT", light.sh_count as f64)];
+            fullscreen(gpu, &self.lift_shader, "fs_lift", &[Some(own), Some(video)], &constants)
+        });
         let (first, last) = (0, self.levels.len() - 1);
         for (at, level) in self.levels.iter().enumerate() {
             let timestamps = if at == first {
@@ -132,7 +144,7 @@ impl ReflectionMap {
                 ..wgpu::RenderPassDescriptor::default()
             });
             if at == first {
-                pass.set_pipeline(&self.lift);
+                pass.set_pipeline(lift);
                 pass.set_bind_group(0, &self.lift_group, &[]);
                 pass.set_bind_group(1, video, &[]);
             } else {
@@ -163,7 +175,6 @@ fn lift_uniform(eye_width: u32, light: &FrameLight) -> layout::Lift {
         size_px: [WIDTH, HEIGHT],
         samples: eye_width.div_ceil(2 * WIDTH).clamp(1, 4),
         light_count: light.lights.len() as u32,
-        sh_count: light.sh_count as u32,
         ..layout::Lift::zeroed()
     };
     for (slot, light) in uniform.lights.iter_mut().zip(&light.lights) {
@@ -176,21 +187,21 @@ fn lift_uniform(eye_width: u32, light: &FrameLight) -> layout::Lift {
 
 fn fullscreen(
     gpu: &Gpu,
-    module: Module,
+    shader: &wgpu::ShaderModule,
     entry: &str,
     layouts: &[Option<&wgpu::BindGroupLayout>],
-) -> Result<wgpu::RenderPipeline, GpuError> {
-    let shader = gpu.shader(module)?;
+    constants: &[(&str, f64)],
+) -> wgpu::RenderPipeline {
     let layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
         label: Some(entry),
         bind_group_layouts: layouts,
         immediate_size: 0,
     });
-    Ok(gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+    gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
         label: Some(entry),
         layout: Some(&layout),
         vertex: wgpu::VertexState {
-            module: &shader,
+            module: shader,
             entry_point: Some("vs_fullscreen"),
             compilation_options: wgpu::PipelineCompilationOptions::default(),
             buffers: &[],
@@ -199,12 +210,12 @@ fn fullscreen(
         depth_stencil: None,
         multisample: wgpu::MultisampleState::default(),
         fragment: Some(wgpu::FragmentState {
-            module: &shader,
+            module: shader,
             entry_point: Some(entry),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            compilation_options: wgpu::PipelineCompilationOptions { constants, ..Default::default() },
             targets: &[Some(FORMAT.into())],
         }),
         multiview_mask: None,
         cache: None,
-    }))
+    })
 }

@@ -5,6 +5,7 @@
 //! pixels have the same bits as with no object in the scene: the layer's samples are cleared to 0, and resolving
 //! averages zeros.
 
+mod extent;
 mod models;
 mod pipelines;
 pub mod plan;
@@ -34,8 +35,9 @@ pub use plan::Plan;
 pub use stage::{ModelFault, SceneWarning};
 pub use timing::PassTime;
 
+use extent::{Part, touched};
 use models::Models;
-use pipelines::{Layouts, Pipelines};
+use pipelines::{Kind, Layouts, Pipelines, Use};
 use resources::{Layer, Resources, VIEW_STRIDE};
 use shadows::Frustum;
 use stage::Stage;
@@ -72,7 +74,6 @@ pub struct FrameReport {
 
 /// Draws the shared scene into the video.
 pub struct Renderer {
-    format: wgpu::TextureFormat,
     layouts: Layouts,
     pipelines: Pipelines,
     resources: Resources,
@@ -97,7 +98,7 @@ impl Renderer {
         let models = Models::new(gpu, &layouts.material);
         let timer = PassTimer::new(gpu);
         let (stage, light) = (Stage::default(), FrameLight::default());
-        Ok(Self { format, layouts, pipelines, resources, models, stage, light, light_changed: true, layers: Vec::new(), timer })
+        Ok(Self { layouts, pipelines, resources, models, stage, light, light_changed: true, layers: Vec::new(), timer })
     }
 
     /// Shows this scene from the next frame on. Geometry stays on the GPU while some object shows it. `asset` gives
@@ -135,7 +136,7 @@ impl Renderer {
         let views = views.get(..MAX_VIEWS).unwrap_or(views);
         let plan = Plan::new(self.stage.needs, &self.light);
         if std::mem::take(&mut self.light_changed) {
-            environment.set_light(gpu, &self.light);
+            environment.set_light(&self.light);
         }
         if plan.reflections {
             environment.refresh_reflections(gpu, encoder, &self.light, &mut self.timer);
@@ -145,16 +146,50 @@ impl Renderer {
         self.resources.write_frame(gpu, &self.stage, &self.light, &frusta);
         let mut report = FrameReport { plan, ..FrameReport::default() };
         self.draw_shadows(encoder, frusta.len(), &mut report);
+        let kind = Kind { video: environment.kind(), sh_count: self.light.sh_count };
+        self.prepare(gpu, kind, plan);
+        let ground = self.stage.changed_ground(&self.light, frusta.len());
         for (at, view) in views.iter().enumerate() {
-            self.resources.write_view(gpu, at, view, self.format);
-            if plan.objects {
-                self.draw_layer(gpu, encoder, environment, (at, view), &mut report);
+            // From beneath there is no ground to see.
+            let ground = ground.filter(|_| view.camera.position.y > self.stage.ground_y);
+            let part = if plan.objects { touched(&view.camera, view.size, &self.stage, ground) } else { None };
+            self.resources.write_view(gpu, at, view, part.unwrap_or_default());
+            if let Some(part) = part {
+                self.make_layer(gpu, at, part);
+                self.draw_layer(encoder, environment, kind, (at, view, part), ground.is_some(), &mut report);
             }
-            self.composite(encoder, environment, (at, view), plan.objects, &mut report);
+            self.composite(encoder, environment, kind, (at, view), part.is_some(), &mut report);
         }
         self.timer.finish(encoder);
         report.passes = self.timer.latest().to_vec();
         report
+    }
+
+    /// Makes what pipelines this frame needs and earlier ones did not.
+    fn prepare(&mut self, gpu: &Gpu, kind: Kind, plan: Plan) {
+        let objects = self.stage.draws.iter().map(object_use);
+        let others = [(Use::Composite, true), (Use::Ground, plan.objects), (Use::Horizon, plan.ground_hides)];
+        for what in objects.chain(others.into_iter().filter_map(|(what, needed)| needed.then_some(what))) {
+            self.pipelines.prepare(gpu, &self.layouts, kind, what);
+        }
+    }
+
+    /// The layer's targets, kept while they hold the part and are not far too large for it.
+    fn make_layer(&mut self, gpu: &Gpu, at: usize, part: Part) {
+        let fits = |layer: &Layer| {
+            let ((width, height), (wide, high)) = (part.size, layer.size);
+            wide >= width && high >= height && u64::from(wide) * u64::from(high) <= 2 * u64::from(width) * u64::from(height)
+        };
+        if let Some(layer) = self.layers.get_mut(at) {
+            if !fits(layer) {
+                *layer = Layer::new(&gpu.device, &self.layouts.layer, part.size);
+            }
+        } else {
+            // Views before this one may have had nothing to draw.
+            while self.layers.len() <= at {
+                self.layers.push(Layer::new(&gpu.device, &self.layouts.layer, part.size));
+            }
+        }
     }
 
     fn draw_shadows(&mut self, encoder: &mut wgpu::CommandEncoder, count: usize, report: &mut FrameReport) {
@@ -183,18 +218,15 @@ impl Renderer {
 
     fn draw_layer(
         &mut self,
-        gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
         environment: &Environment,
-        (at, view): (usize, &View<'_>),
+        kind: Kind,
+        (at, view, part): (usize, &View<'_>, Part),
+        ground: bool,
         report: &mut FrameReport,
     ) {
         const NAMES: [&str; MAX_VIEWS] = ["objects", "objects, view 2", "objects, view 3", "objects, view 4"];
-        if self.layers.get(at).is_none_or(|layer| layer.size != view.size) {
-            self.layers.truncate(at);
-            self.layers.push(Layer::new(&gpu.device, &self.layouts.layer, view.size));
-        }
-        let layer = &self.layers[at];
+        let Some(layer) = self.layers.get(at) else { return };
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some(NAMES[at]),
             color_attachments: &[Some(wgpu::RenderPassColorAttachment {
@@ -207,25 +239,29 @@ impl Renderer {
             timestamp_writes: self.timer.pass(NAMES[at]),
             ..wgpu::RenderPassDescriptor::default()
         });
+        // The layer is a window into the image.
+        let (x, y) = (part.origin.0 as f32, part.origin.1 as f32);
+        pass.set_viewport(-x, -y, view.size.0.max(1) as f32, view.size.1.max(1) as f32, 0.0, 1.0);
+        pass.set_scissor_rect(0, 0, part.size.0, part.size.1);
         pass.set_bind_group(0, &self.resources.frame, &[at as u32 * VIEW_STRIDE]);
         pass.set_bind_group(1, environment.bind_group(), &[]);
         pass.set_bind_group(2, environment.reflection_bind_group(), &[]);
         for draw in &self.stage.draws {
             let Some(Ok(model)) = self.models.get(&draw.geometry) else { continue };
             let Some(part) = model.parts.get(draw.part) else { continue };
-            pass.set_pipeline(if draw.double_sided { &self.pipelines.object_double_sided } else { &self.pipelines.object });
+            let Some(pipeline) = self.pipelines.get(kind, object_use(draw)) else { continue };
+            pass.set_pipeline(pipeline);
             pass.set_bind_group(3, if draw.textured { &part.material } else { self.models.plain() }, &[]);
             draw_part(&mut pass, part, draw);
             report.draws += 1;
         }
         report.triangles += self.stage.triangles;
         // After the objects, so that ground they cover is not shaded. From beneath there is no ground to see.
-        if view.camera.position.y > self.stage.ground_y {
-            pass.set_pipeline(&self.pipelines.ground);
-            pass.draw(0..4, 0..1);
-            report.draws += 1;
-            if report.plan.ground_hides {
-                pass.set_pipeline(&self.pipelines.horizon);
+        let changed = (ground, Use::Ground);
+        let hiding = (report.plan.ground_hides && view.camera.position.y > self.stage.ground_y, Use::Horizon);
+        for (_, what) in [changed, hiding].into_iter().filter(|(drawn, _)| *drawn) {
+            if let Some(pipeline) = self.pipelines.get(kind, what) {
+                pass.set_pipeline(pipeline);
                 pass.draw(0..4, 0..1);
                 report.draws += 1;
             }
@@ -236,6 +272,7 @@ impl Renderer {
         &mut self,
         encoder: &mut wgpu::CommandEncoder,
         environment: &Environment,
+        kind: Kind,
         (at, view): (usize, &View<'_>),
         drawn: bool,
         report: &mut FrameReport,
@@ -253,7 +290,8 @@ impl Renderer {
             ..wgpu::RenderPassDescriptor::default()
         });
         let layer = self.layers.get(at).filter(|_| drawn).map_or(&self.resources.no_layer, |layer| &layer.group);
-        pass.set_pipeline(&self.pipelines.composite);
+        let Some(pipeline) = self.pipelines.get(kind, Use::Composite) else { return };
+        pass.set_pipeline(pipeline);
         pass.set_bind_group(0, &self.resources.frame, &[at as u32 * VIEW_STRIDE]);
         pass.set_bind_group(1, environment.bind_group(), &[]);
         pass.set_bind_group(2, layer, &[]);
@@ -267,6 +305,10 @@ fn depth_attachment(view: &wgpu::TextureView, clear: f32, store: wgpu::StoreOp) 
     wgpu::RenderPassDepthStencilAttachment { view, depth_ops, stencil_ops: None }
 }
 
+fn object_use(draw: &stage::Draw) -> Use {
+    Use::Object { surface: draw.surface, textured: draw.textured, double_sided: draw.double_sided }
+}
+
 fn draw_part(pass: &mut wgpu::RenderPass<'_>, part: &models::GpuPart, draw: &stage::Draw) {
     pass.set_vertex_buffer(0, part.vertices.slice(..));
     pass.set_index_buffer(part.indices.slice(..), wgpu::IndexFormat::Uint32);
@@ -274,20 +316,20 @@ fn draw_part(pass: &mut wgpu::RenderPass<'_>, part: &models::GpuPart, draw: &sta
 }
 
 /// The view's uniform.
-fn view_uniform(view: &View<'_>, format: wgpu::TextureFormat) -> layout::View {
+fn view_uniform(view: &View<'_>, layer: Part) -> layout::View {
     let (width, height) = (view.size.0.max(1) as f32, view.size.1.max(1) as f32);
     let aspect = width / height;
     let camera = &view.camera;
     let tan = (camera.fov_y_rad * 0.5).tan();
     let axes = [Vec3::X * (tan * aspect), Vec3::Y * tan, Vec3::NEG_Z].map(|axis| (camera.world_from_view * axis).extend(0.0).to_array());
-    let eight_bits = matches!(format, wgpu::TextureFormat::Rgba8Unorm | wgpu::TextureFormat::Bgra8Unorm);
     layout::View {
         clip_from_world: (camera.clip_from_view(aspect) * camera.view_from_world()).to_cols_array_2d(),
         world_from_ndc: axes,
         position: camera.position.to_array(),
         eye: u32::from(camera.right_eye),
         size_px: [width, height],
-        encode_srgb: u32::from(eight_bits),
-        padding: 0,
+        layer_origin: [layer.origin.0 as f32, layer.origin.1 as f32],
+        layer_size: [layer.size.0 as f32, layer.size.1 as f32],
+        padding: [0.0; 2],
     }
 }

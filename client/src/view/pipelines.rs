@@ -1,10 +1,12 @@
 //! Bind group layouts and pipelines of the view passes.
 
+use std::collections::HashMap;
+
 use mr360_shaders::layout::Vertex;
-use mr360_shaders::source::Module;
+use mr360_shaders::source::{Module, Surface};
 
 use crate::environment::reflection::reflection_layout;
-use crate::environment::{sampler_entry, texture_entry, video_layout};
+use crate::environment::{VideoKind, sampler_entry, texture_entry, video_layout};
 use crate::gpu::{Gpu, GpuError};
 
 /// Linear radiance, premultiplied by coverage.
@@ -27,13 +29,31 @@ pub(super) struct Layouts {
     pub(super) material: wgpu::BindGroupLayout,
 }
 
+/// The pipelines in use. Those that see the video are made for its kind and for the kind of surface, when first needed.
 pub(super) struct Pipelines {
-    pub(super) object: wgpu::RenderPipeline,
-    pub(super) object_double_sided: wgpu::RenderPipeline,
-    pub(super) ground: wgpu::RenderPipeline,
-    pub(super) horizon: wgpu::RenderPipeline,
     pub(super) caster: wgpu::RenderPipeline,
-    pub(super) composite: wgpu::RenderPipeline,
+    object: wgpu::ShaderModule,
+    ground: wgpu::ShaderModule,
+    composite: wgpu::ShaderModule,
+    target: wgpu::TextureFormat,
+    made: HashMap<(Kind, Use), wgpu::RenderPipeline>,
+}
+
+/// What stays for a whole stream.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub(super) struct Kind {
+    pub(super) video: VideoKind,
+    /// 9 or 25.
+    pub(super) sh_count: usize,
+}
+
+/// What a pipeline draws.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub(super) enum Use {
+    Object { surface: Surface, textured: bool, double_sided: bool },
+    Ground,
+    Horizon,
+    Composite,
 }
 
 fn buffer_entry(binding: u32, ty: wgpu::BufferBindingType, has_dynamic_offset: bool) -> wgpu::BindGroupLayoutEntry {
@@ -60,7 +80,7 @@ impl Layouts {
             buffer_entry(0, uniform, true),
             buffer_entry(1, uniform, false),
             buffer_entry(2, storage, false),
-            buffer_entry(3, storage, false),
+            buffer_entry(3, uniform, false),
         ];
         let [view, lighting, instances, occluders] = shared;
         let unfiltered = wgpu::BindGroupLayoutEntry {
@@ -92,6 +112,8 @@ struct Recipe<'a> {
     cull: Option<wgpu::Face>,
     depth: Option<wgpu::DepthStencilState>,
     samples: u32,
+    /// Of the fragment shader.
+    constants: &'a [(&'a str, f64)],
 }
 
 fn build(gpu: &Gpu, module: &wgpu::ShaderModule, recipe: &Recipe<'_>) -> wgpu::RenderPipeline {
@@ -124,7 +146,7 @@ fn build(gpu: &Gpu, module: &wgpu::ShaderModule, recipe: &Recipe<'_>) -> wgpu::R
         fragment: recipe.fragment.map(|(entry, _)| wgpu::FragmentState {
             module,
             entry_point: Some(entry),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            compilation_options: wgpu::PipelineCompilationOptions { constants: recipe.constants, ..Default::default() },
             targets: &targets,
         }),
         multiview_mask: None,
@@ -144,32 +166,6 @@ fn depth(compare: wgpu::CompareFunction, bias: wgpu::DepthBiasState) -> wgpu::De
 
 impl Pipelines {
     pub(super) fn new(gpu: &Gpu, layouts: &Layouts, target: wgpu::TextureFormat) -> Result<Self, GpuError> {
-        let video = video_layout(&gpu.device);
-        let reflection = reflection_layout(&gpu.device);
-        let (object, ground) = (gpu.shader(Module::Object)?, gpu.shader(Module::Ground)?);
-        let nearer = |bias| Some(depth(wgpu::CompareFunction::Greater, bias));
-        let none = wgpu::DepthBiasState::default();
-        // The ground gives way to what lies flat on it.
-        let behind = wgpu::DepthBiasState { constant: -8, slope_scale: -2.0, clamp: 0.0 };
-        let object_recipe = Recipe {
-            label: "object",
-            vertex: "vs_object",
-            fragment: Some(("fs_object", LAYER_FORMAT)),
-            layouts: &[Some(&layouts.frame), Some(&video), Some(&reflection), Some(&layouts.material)],
-            mesh: true,
-            cull: Some(wgpu::Face::Back),
-            depth: nearer(none),
-            samples: SAMPLES,
-        };
-        let ground_recipe = Recipe {
-            label: "ground",
-            vertex: "vs_ground",
-            layouts: &[Some(&layouts.frame), Some(&video)],
-            fragment: Some(("fs_ground", LAYER_FORMAT)),
-            mesh: false,
-            depth: nearer(behind),
-            ..object_recipe.clone()
-        };
         let casters = Recipe {
             label: "caster",
             vertex: "vs_caster",
@@ -179,28 +175,86 @@ impl Pipelines {
             cull: None,
             depth: Some(depth(wgpu::CompareFunction::Less, wgpu::DepthBiasState { constant: 1, slope_scale: 1.0, clamp: 0.0 })),
             samples: 1,
-        };
-        let composite = Recipe {
-            label: "composite",
-            vertex: "vs_fullscreen",
-            fragment: Some(("fs_composite", target)),
-            layouts: &[Some(&layouts.frame), Some(&video), Some(&layouts.layer)],
-            mesh: false,
-            cull: None,
-            depth: None,
-            samples: 1,
+            constants: &[],
         };
         Ok(Self {
-            object_double_sided: build(gpu, &object, &Recipe { label: "object, both sides", cull: None, ..object_recipe.clone() }),
-            object: build(gpu, &object, &object_recipe),
-            horizon: build(
-                gpu,
-                &ground,
-                &Recipe { label: "horizon", vertex: "vs_horizon", fragment: Some(("fs_horizon", LAYER_FORMAT)), ..ground_recipe.clone() },
-            ),
-            ground: build(gpu, &ground, &ground_recipe),
             caster: build(gpu, &gpu.shader(Module::Caster)?, &casters),
-            composite: build(gpu, &gpu.shader(Module::Composite)?, &composite),
+            object: gpu.shader(Module::Object)?,
+            ground: gpu.shader(Module::Ground)?,
+            composite: gpu.shader(Module::Composite)?,
+            target,
+            made: HashMap::new(),
         })
+    }
+
+    /// Makes a pipeline unless it is there.
+    pub(super) fn prepare(&mut self, gpu: &Gpu, layouts: &Layouts, kind: Kind, what: Use) {
+        if !self.made.contains_key(&(kind, what)) {
+            self.made.insert((kind, what), self.make(gpu, layouts, kind, what));
+        }
+    }
+
+    /// A pipeline that was prepared.
+    pub(super) fn get(&self, kind: Kind, what: Use) -> Option<&wgpu::RenderPipeline> {
+        self.made.get(&(kind, what))
+    }
+
+    fn make(&self, gpu: &Gpu, layouts: &Layouts, kind: Kind, what: Use) -> wgpu::RenderPipeline {
+        let video = video_layout(&gpu.device);
+        let flag = |value: bool| f64::from(u8::from(value));
+        let [a, b, c, d] = kind.video.constants();
+        let mut constants = vec![a, b, c, d, ("SH_COUNT", kind.sh_count as f64)];
+        // The ground gives way to what lies flat on it.
+        let behind = wgpu::DepthBiasState { constant: -8, slope_scale: -2.0, clamp: 0.0 };
+        let ground = Recipe {
+            label: "ground",
+            vertex: "vs_ground",
+            fragment: Some(("fs_ground", LAYER_FORMAT)),
+            layouts: &[Some(&layouts.frame), Some(&video)],
+            mesh: false,
+            cull: Some(wgpu::Face::Back),
+            depth: Some(depth(wgpu::CompareFunction::Greater, behind)),
+            samples: SAMPLES,
+            constants: &[],
+        };
+        match what {
+            Use::Object { surface, textured, double_sided } => {
+                constants.extend([("SURFACE", f64::from(surface.index())), ("TEXTURED", flag(textured))]);
+                let reflection = reflection_layout(&gpu.device);
+                let recipe = Recipe {
+                    label: "object",
+                    vertex: "vs_object",
+                    fragment: Some(("fs_object", LAYER_FORMAT)),
+                    layouts: &[Some(&layouts.frame), Some(&video), Some(&reflection), Some(&layouts.material)],
+                    mesh: true,
+                    cull: (!double_sided).then_some(wgpu::Face::Back),
+                    depth: Some(depth(wgpu::CompareFunction::Greater, wgpu::DepthBiasState::default())),
+                    constants: &constants,
+                    ..ground
+                };
+                build(gpu, &self.object, &recipe)
+            }
+            Use::Ground => build(gpu, &self.ground, &Recipe { constants: &constants, ..ground }),
+            Use::Horizon => {
+                let fragment = Some(("fs_horizon", LAYER_FORMAT));
+                build(gpu, &self.ground, &Recipe { label: "horizon", vertex: "vs_horizon", fragment, ..ground })
+            }
+            Use::Composite => {
+                let eight_bits = matches!(self.target, wgpu::TextureFormat::Rgba8Unorm | wgpu::TextureFormat::Bgra8Unorm);
+                constants.push(("ENCODE_SRGB", flag(eight_bits)));
+                let recipe = Recipe {
+                    label: "composite",
+                    vertex: "vs_fullscreen",
+                    fragment: Some(("fs_composite", self.target)),
+                    layouts: &[Some(&layouts.frame), Some(&video), Some(&layouts.layer)],
+                    cull: None,
+                    depth: None,
+                    samples: 1,
+                    constants: &constants,
+                    ..ground
+                };
+                build(gpu, &self.composite, &recipe)
+            }
+        }
     }
 }

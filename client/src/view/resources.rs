@@ -3,12 +3,14 @@
 use bytemuck::Zeroable;
 use glam::{Mat4, Vec3};
 use mr360_protocol::light::DirectionalLight;
-use mr360_shaders::layout;
+use mr360_shaders::layout::{self, MAX_OCCLUDERS, SHADOW_MAP_SIZE};
+use mr360_shaders::sh;
 
+use super::extent::Part;
 use super::pipelines::{DEPTH_FORMAT, LAYER_FORMAT, Layouts, SAMPLES};
 use super::plan::MAX_SHADOWS;
-use super::shadows::{Frustum, LONGEST_SHADOW_M, SHADOW_SIZE, fit};
-use super::stage::{MAX_OCCLUDERS, Stage};
+use super::shadows::{Frustum, LONGEST_SHADOW_M, fit};
+use super::stage::Stage;
 use super::{MAX_VIEWS, View, view_uniform};
 use crate::environment::FrameLight;
 use crate::environment::light::tan_radius;
@@ -64,10 +66,10 @@ impl Resources {
         let views = buffer(device, "views", MAX_VIEWS * VIEW_STRIDE as usize, wgpu::BufferUsages::UNIFORM);
         let lighting = buffer(device, "lighting", size_of::<layout::Lighting>(), wgpu::BufferUsages::UNIFORM);
         let instances = buffer(device, "instances", size_of::<layout::Instance>() * 16, wgpu::BufferUsages::STORAGE);
-        let occluders = buffer(device, "occluders", size_of::<layout::Occluder>() * MAX_OCCLUDERS, wgpu::BufferUsages::STORAGE);
+        let occluders = buffer(device, "occluders", size_of::<layout::Occluder>() * MAX_OCCLUDERS, wgpu::BufferUsages::UNIFORM);
         let casters = buffer(device, "casters", MAX_SHADOWS * VIEW_STRIDE as usize, wgpu::BufferUsages::UNIFORM);
         let attachment = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
-        let maps = texture(device, "shadow maps", (SHADOW_SIZE, SHADOW_SIZE), MAX_SHADOWS as u32, 1, DEPTH_FORMAT, attachment);
+        let maps = texture(device, "shadow maps", (SHADOW_MAP_SIZE, SHADOW_MAP_SIZE), MAX_SHADOWS as u32, 1, DEPTH_FORMAT, attachment);
         let shadow_maps =
             maps.create_view(&wgpu::TextureViewDescriptor { dimension: Some(wgpu::TextureViewDimension::D2Array), ..Default::default() });
         let layer = |base_array_layer| {
@@ -138,17 +140,25 @@ impl Resources {
         gpu.queue.write_buffer(&self.lighting, 0, bytemuck::bytes_of(&lighting(stage, light, frusta)));
     }
 
-    pub(super) fn write_view(&self, gpu: &Gpu, at: usize, view: &View<'_>, format: wgpu::TextureFormat) {
-        gpu.queue.write_buffer(&self.views, at as u64 * u64::from(VIEW_STRIDE), bytemuck::bytes_of(&view_uniform(view, format)));
+    pub(super) fn write_view(&self, gpu: &Gpu, at: usize, view: &View<'_>, layer: Part) {
+        gpu.queue.write_buffer(&self.views, at as u64 * u64::from(VIEW_STRIDE), bytemuck::bytes_of(&view_uniform(view, layer)));
     }
 }
 
 fn lighting(stage: &Stage, light: &FrameLight, frusta: &[Frustum]) -> layout::Lighting {
+    let ambient = sh::irradiance(&light.sh, Vec3::Y);
+    let falling: Vec<Vec3> = light.lights.iter().map(|l| l.irradiance.max(Vec3::ZERO) * l.direction.y.max(0.0)).collect();
+    let before = ambient + falling.iter().sum::<Vec3>();
+    let sent_up = sh::radiance(&light.sh, Vec3::NEG_Y).max(Vec3::ZERO) * std::f32::consts::PI;
+    let reflectance = (sent_up / before.max(Vec3::splat(1e-6))).clamp(Vec3::ZERO, Vec3::ONE);
     let mut out = layout::Lighting {
         sh: light.sh.map(|c| c.extend(0.0).to_array()),
-        disc: disc(),
+        ground_ambient: ambient.to_array(),
+        ground_before: before.to_array(),
+        ground_unshadowed: falling.iter().skip(frusta.len()).sum::<Vec3>().to_array(),
+        ground_reflectance: reflectance.to_array(),
         ground_y: stage.ground_y,
-        sh_count: light.sh_count as u32,
+        shadow_count: frusta.len() as u32,
         light_count: light.lights.len() as u32,
         occluder_count: stage.occluders.len() as u32,
         ..layout::Lighting::zeroed()
@@ -166,20 +176,11 @@ fn lighting(stage: &Stage, light: &FrameLight, frusta: &[Frustum]) -> layout::Li
             shadow_layer: frustum.map_or(-1, |_| at as i32),
             shadow_half_width_m: frustum.map_or(1.0, |f| f.half_width_m),
             shadow_range_m: frustum.map_or(1.0, |f| f.range_m),
-            padding: [0.0; 2],
+            shadow_texel_m: frustum.map_or(1.0, |f| 2.0 * f.half_width_m / SHADOW_MAP_SIZE as f32),
+            padding: 0.0,
         };
     }
     out
-}
-
-/// Points spread evenly over the unit disc (Vogel 1979).
-fn disc() -> [[f32; 4]; layout::DISC_POINTS] {
-    let golden_angle = std::f32::consts::PI * (3.0 - 5.0f32.sqrt());
-    std::array::from_fn(|i| {
-        let radius = ((i as f32 + 0.5) / layout::DISC_POINTS as f32).sqrt();
-        let (sine, cosine) = (i as f32 * golden_angle).sin_cos();
-        [radius * cosine, radius * sine, 0.0, 0.0]
-    })
 }
 
 fn slot(buffer: &wgpu::Buffer, size: usize) -> wgpu::BindingResource<'_> {
@@ -219,6 +220,7 @@ fn layer_group(device: &wgpu::Device, layout: &wgpu::BindGroupLayout, layer: &wg
 
 /// Targets of one view's objects and ground.
 pub(super) struct Layer {
+    /// At least what was asked for.
     pub(super) size: (u32, u32),
     pub(super) samples: wgpu::TextureView,
     pub(super) resolved: wgpu::TextureView,

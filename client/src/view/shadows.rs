@@ -4,8 +4,6 @@ use glam::{Mat3, Mat4, Vec3, Vec4};
 
 use crate::scene::mesh::Bounds;
 
-/// Texels on a side of a shadow map.
-pub const SHADOW_SIZE: u32 = 1024;
 /// Shadows on the ground end at this distance from their caster, metres.
 pub const LONGEST_SHADOW_M: f32 = 60.0;
 

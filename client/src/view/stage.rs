@@ -5,8 +5,8 @@ use std::ops::Range;
 use glam::{Mat3, Mat4, Vec3};
 use mr360_protocol::asset::AssetId;
 use mr360_protocol::scene::{Geometry, Material, MaterialKind, Object, ObjectId, Scene};
-use mr360_shaders::layout;
-use mr360_shaders::source::OCCLUDER_REACH;
+use mr360_shaders::layout::{self, MAX_OCCLUDERS};
+use mr360_shaders::source::{OCCLUDER_REACH, Surface};
 
 use super::models::{GpuModel, GpuPart, Models};
 use super::plan::{SceneNeeds, reflects};
@@ -20,8 +20,6 @@ use crate::scene::pick::Target;
 
 /// Most drawn parts of all objects together.
 const MAX_INSTANCES: usize = 65_536;
-/// Most occluding spheres; scenes that need more get one for each object, then the largest.
-pub(super) const MAX_OCCLUDERS: usize = 64;
 
 /// An object that is left out of the picture, and why.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -58,6 +56,8 @@ pub(super) struct Draw {
     /// With the textures of the model's file.
     pub(super) textured: bool,
     pub(super) double_sided: bool,
+    /// What its instances are shaded with.
+    pub(super) surface: Surface,
 }
 
 /// What is drawn until the scene changes.
@@ -102,12 +102,12 @@ impl Stage {
                 warnings.push(SceneWarning { object: object.id, model, fault });
             }
         }
-        // Objects of the same geometry share draws; those with a material of their own use none of its textures.
-        placed.sort_by_key(|p| (geometry_key(&p.object.geometry), p.object.material.is_some()));
+        // Objects of the same geometry and kind of surface share draws; those with a material of their own use none
+        // of the file's textures.
+        let key = |p: &Placed<'_>| (geometry_key(&p.object.geometry), p.object.material.as_ref().map(surface_of));
+        placed.sort_by_key(key);
         let mut stage = Self { ground_y: scene.ground_y, ..Self::default() };
-        for run in
-            placed.chunk_by(|a, b| a.object.geometry == b.object.geometry && a.object.material.is_some() == b.object.material.is_some())
-        {
+        for run in placed.chunk_by(|a, b| key(a) == key(b)) {
             stage.add_run(run);
         }
         stage.occluders = occluders(&placed);
@@ -122,14 +122,16 @@ impl Stage {
             self.instances.extend(run.iter().map(|placed| instance(placed, part)));
             let textured = first.object.material.is_none();
             let used = &self.instances[start as usize..];
-            let varies = textured && part.surface.metallic_roughness_texture.is_some();
+            let varies = textured && !part.surface.glass && part.surface.metallic_roughness_texture.is_some();
+            let own = used.first().map_or(Surface::Varying, |i| Surface::of(i.roughness, i.glass == 1));
             self.needs.reflective |= varies || used.iter().any(|i| reflects(i.roughness, i.glass == 1));
             self.draws.push(Draw {
                 geometry: first.object.geometry,
                 part: at,
                 instances: start..self.instances.len() as u32,
-                textured,
+                textured: textured && (part.surface.base_color_texture.is_some() || part.surface.metallic_roughness_texture.is_some()),
                 double_sided: part.surface.double_sided,
+                surface: if varies { Surface::Varying } else { own },
             });
             self.triangles += u64::from(part.index_count / 3) * run.len() as u64;
         }
@@ -170,6 +172,10 @@ impl Stage {
         }
         changed
     }
+}
+
+fn surface_of(material: &Material) -> Surface {
+    Surface::of(material.roughness, material.kind == MaterialKind::Glass)
 }
 
 /// An order that keeps equal geometries together.
