@@ -37,7 +37,8 @@ struct Inner {
 struct Csv {
     path: PathBuf,
     out: BufWriter<File>,
-    header_written: bool,
+    /// Cells of a row that belong to its light; known once the header is written.
+    light_cells: Option<usize>,
 }
 
 struct Coded {
@@ -64,6 +65,8 @@ pub struct LightRow<'a> {
     pub bytes: usize,
 }
 
+/// Cells of a row that belong to its light, before the steps of the method.
+const LIGHT_CELLS: usize = 5;
 const VIDEO: usize = 0;
 const LIGHT: usize = 1;
 const AUDIO: usize = 2;
@@ -75,7 +78,7 @@ impl Stats {
     /// When the file cannot be created.
     pub fn new(csv: Option<&Path>) -> std::io::Result<Self> {
         let csv = csv
-            .map(|path| File::create(path).map(|file| Csv { path: path.to_owned(), out: BufWriter::new(file), header_written: false }))
+            .map(|path| File::create(path).map(|file| Csv { path: path.to_owned(), out: BufWriter::new(file), light_cells: None }))
             .transpose()?;
         Ok(Self(Arc::new(Mutex::new(Inner {
             csv,
@@ -205,7 +208,7 @@ impl Inner {
 impl Csv {
     /// The steps of the method that runs name their columns, so the header waits for the first light.
     fn row(&mut self, pts_us: u64, coded: &Coded, light: Option<&LightRow<'_>>) -> std::io::Result<()> {
-        if !self.header_written {
+        if self.light_cells.is_none() {
             let Some(light) = light else { return Ok(()) };
             write!(
                 self.out,
@@ -215,7 +218,7 @@ impl Csv {
                 write!(self.out, ",light_{}_us", name.replace([' ', ','], "_"))?;
             }
             writeln!(self.out)?;
-            self.header_written = true;
+            self.light_cells = Some(LIGHT_CELLS + light.steps.iter().count());
         }
         write!(self.out, "{pts_us},{},{},{}", coded.ingested.0, coded.published.0, coded.bytes)?;
         if let Some(light) = light {
@@ -223,6 +226,8 @@ impl Csv {
             for (_, duration) in light.steps.iter() {
                 write!(self.out, ",{}", micros(duration))?;
             }
+        } else {
+            write!(self.out, "{}", ",".repeat(self.light_cells.unwrap_or(0)))?;
         }
         writeln!(self.out)
     }
