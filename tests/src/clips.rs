@@ -24,57 +24,12 @@ pub fn stereo(sandbox: &Sandbox, name: &str, kbits: u32) -> Result<PathBuf> {
     make(
         sandbox,
         name,
-<<<<<<< HEAD
-        &[
-            "-f",
-            "lavfi",
-            "-i",
-            "gradients=size=320x160:rate=15:duration=10:c0=0x505050:c1=0xc0c0c0:speed=0.05:seed=7,format=yuv420p,noise=c0s=30:c0f=t,drawbox=x=100:y=30:w=20:h=10:color=white:t=fill",
-            "-f",
-            "lavfi",
-            "-i",
-            "sine=frequency=440:sample_rate=44100:duration=10",
-            "-filter_complex",
-            "[0:v]split[left][copy];[copy]hflip[right];[left][right]vstack[v]",
-            "-map",
-            "[v]",
-            "-map",
-            "1:a",
-            "-c:v",
-            "libx264",
-            "-preset",
-            "ultrafast",
-            "-tune",
-            "zerolatency",
-            "-bf",
-            "0",
-            "-g",
-            &gop,
-            "-sc_threshold",
-            "0",
-            "-b:v",
-            &rate,
-            "-maxrate",
-            &rate,
-            "-bufsize",
-            &rate,
-            "-pix_fmt",
-            "yuv420p",
-            "-c:a",
-            "aac",
-            "-b:a",
-            "64k",
-            "-ac",
-            "2",
-        ],
-=======
         &format!(
             "-f lavfi -i {view} -f lavfi -i sine=frequency=440:sample_rate=44100:duration=10 \
              -filter_complex [0:v]split[left][copy];[copy]hflip[right];[left][right]vstack[v] -map [v] -map 1:a \
              -c:v libx264 -preset ultrafast -tune zerolatency -bf 0 -g {GOP} -sc_threshold 0 -pix_fmt yuv420p \
              -b:v {kbits}k -maxrate {kbits}k -bufsize {kbits}k -c:a aac -b:a 64k -ac 2"
         ),
->>>>>>> e2e
     )
 }
 
