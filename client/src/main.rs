@@ -27,7 +27,8 @@ fn main() -> ExitCode {
     let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| default.into());
     let colours = std::io::IsTerminal::is_terminal(&std::io::stderr());
     tracing_subscriber::fmt().with_env_filter(filter).with_ansi(colours).with_writer(std::io::stderr).init();
-    ffmpeg_next::log::set_level(ffmpeg_next::log::Level::Error);
+    // What fails is told by our own errors; FFmpeg would add a line for every device that it probes in vain.
+    ffmpeg_next::log::set_level(ffmpeg_next::log::Level::Fatal);
     let result = match cli.command {
         Command::Join(args) => join::run(args),
         Command::Render(args) => render::run(&args).map_err(|error| match error.is::<GpuError>() {

@@ -142,6 +142,17 @@ fn program_path(name: &str) -> Result<PathBuf> {
     Ok(path)
 }
 
+/// A program that `deploy/test` built into the tools folder, or one of that name in a folder of `PATH`.
+///
+/// # Errors
+/// When it is in neither.
+pub fn tool(name: &str) -> Result<PathBuf> {
+    let folder = build_folder()?.parent().context("the build folder lies in no folder")?.join("tools/bin");
+    let elsewhere = std::env::var_os("PATH").map(|path| std::env::split_paths(&path).collect::<Vec<_>>()).unwrap_or_default();
+    let found = std::iter::once(folder).chain(elsewhere).map(|folder| folder.join(name)).find(|path| path.is_file());
+    found.with_context(|| format!("{name} is not installed; deploy/test installs it"))
+}
+
 /// A file that `deploy/fetch-media` brought, or `None` (and a line that says so) when it was not run.
 ///
 /// # Errors
