@@ -1,7 +1,7 @@
 //! What crosses the wire in MR360 live, and how.
 //!
 //! [`light`], [`video`], [`scene`], [`clock`], [`asset`] and [`codec`] do no I/O: they define the messages,
-//! their bounds and their encoding. [`transport`] carries them over QUIC and MoQ; [`join`] is the URL that
+//! their bounds and their encoding. [`stages`] and [`stop`] are what both programs share beside the wire. [`transport`] carries them over QUIC and MoQ; [`join`] is the URL that
 //! a viewer is handed.
 //!
 //! Conventions of the whole project: right-handed, y up, −z forward, metres, radians; linear BT.709 radiance
@@ -14,6 +14,8 @@ pub mod join;
 pub mod light;
 pub mod scene;
 pub mod scene_file;
+pub mod stages;
+pub mod stop;
 pub mod track;
 pub mod transport;
 pub mod video;

@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use hdrhistogram::Histogram;
 use mr360_protocol::clock::ServerTime;
+use mr360_protocol::stages::StageTimes;
 
 use crate::ingest::IngestCounters;
 use crate::lighting::StepTimes;
@@ -24,8 +24,7 @@ struct Inner {
     csv: Option<Csv>,
     waiting: BTreeMap<u64, Coded>,
     frames: u64,
-    /// By name, in the order of the data path.
-    stages: Vec<(String, Histogram<u64>)>,
+    stages: StageTimes,
     bytes: [(&'static str, u64); 3],
     without_light: u64,
     light_errors: u64,
@@ -84,7 +83,7 @@ impl Stats {
             csv,
             waiting: BTreeMap::new(),
             frames: 0,
-            stages: Vec::new(),
+            stages: StageTimes::default(),
             bytes: [("video", 0), ("light", 0), ("audio", 0)],
             without_light: 0,
             light_errors: 0,
@@ -105,7 +104,7 @@ impl Stats {
         inner.first_pts_us.get_or_insert(pts_us);
         inner.last_pts_us = pts_us;
         inner.bytes[VIDEO].1 += bytes as u64;
-        inner.record("publish video", published.0.saturating_sub(ingested.0));
+        inner.stages.record("publish video", published.0.saturating_sub(ingested.0));
         inner.waiting.insert(pts_us, Coded { ingested, published, bytes });
         if inner.waiting.len() > MAX_WAITING
             && let Some((pts_us, coded)) = inner.waiting.pop_first()
@@ -120,12 +119,12 @@ impl Stats {
         let mut inner = self.lock();
         inner.bytes[LIGHT].1 += row.bytes as u64;
         let Some(coded) = inner.waiting.remove(&row.pts_us) else { return };
-        inner.record("decode", row.decoded.0.saturating_sub(coded.ingested.0));
+        inner.stages.record("decode", row.decoded.0.saturating_sub(coded.ingested.0));
         for (name, duration) in row.steps.iter() {
-            inner.record(&format!("light: {name}"), micros(duration));
+            inner.stages.record(&format!("light: {name}"), micros(duration));
         }
-        inner.record("light", row.published.0.saturating_sub(row.begun.0));
-        inner.record("ingest to light published", row.published.0.saturating_sub(coded.ingested.0));
+        inner.stages.record("light", row.published.0.saturating_sub(row.begun.0));
+        inner.stages.record("ingest to light published", row.published.0.saturating_sub(coded.ingested.0));
         inner.write_row(row.pts_us, &coded, Some(row));
     }
 
@@ -151,19 +150,15 @@ impl Stats {
         inner.flush();
         let seconds = inner.last_pts_us.saturating_sub(inner.first_pts_us.unwrap_or(0)) as f64 / 1e6;
         let mut text = format!("{} frames in {seconds:.1} s\n", inner.frames);
-        for (name, h) in &inner.stages {
-            let [mean, p50, p95, max] =
-                [h.mean(), h.value_at_quantile(0.5) as f64, h.value_at_quantile(0.95) as f64, h.max() as f64].map(|us| us / 1e3);
-            text += &format!("  {name:<28} mean {mean:8.2}  p50 {p50:8.2}  p95 {p95:8.2}  max {max:8.2} ms\n");
-        }
+        text += &inner.stages.to_string();
         for (name, bytes) in inner.bytes {
             let rate = if seconds > 0.0 { bytes as f64 * 8e-3 / seconds } else { 0.0 };
-            text += &format!("  {name:<28} {bytes:>12} bytes  {rate:>10.1} kbit/s\n");
+            text += &format!("track {name}: {bytes} bytes  {rate:.1} kbit/s\n");
         }
         let IngestCounters { reconnects, timestamp_jumps, format_changes, corrupt_packets, frames_without_light } = survived;
         text += &format!(
-            "  survived: {reconnects} reconnects, {timestamp_jumps} timestamp jumps, {format_changes} format changes, \
-             {corrupt_packets} corrupt packets\n  without light: {frames_without_light} too late, {} with errors, {} never decoded; \
+            "survived: {reconnects} reconnects, {timestamp_jumps} timestamp jumps, {format_changes} format changes, \
+             {corrupt_packets} corrupt packets\nwithout light: {frames_without_light} too late, {} with errors, {} never decoded; \
              {} packets not published",
             inner.light_errors, inner.without_light, inner.media_errors
         );
@@ -172,18 +167,6 @@ impl Stats {
 }
 
 impl Inner {
-    fn record(&mut self, stage: &str, us: u64) {
-        let at = self.stages.iter().position(|(name, _)| name == stage).or_else(|| {
-            // One minute at three digits: a stage that takes longer is counted as a minute.
-            let histogram = Histogram::new_with_bounds(1, 60_000_000, 3).ok()?;
-            self.stages.push((stage.to_owned(), histogram));
-            Some(self.stages.len() - 1)
-        });
-        if let Some(at) = at {
-            self.stages[at].1.saturating_record(us);
-        }
-    }
-
     fn write_row(&mut self, pts_us: u64, coded: &Coded, light: Option<&LightRow<'_>>) {
         let Some(csv) = &mut self.csv else { return };
         if let Err(error) = csv.row(pts_us, coded, light) {

@@ -12,6 +12,7 @@ use std::sync::mpsc::channel;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use mr360_protocol::scene::Action;
+use mr360_protocol::stop::asked_to_stop;
 
 use crate::camera::Camera;
 use crate::decode::VideoDecoder;
@@ -125,19 +126,7 @@ fn to_file(frames: &mut FrameLoop, settings: &Settings, scene: &SharedScene) -> 
 fn stop_on_signal(stop: Arc<AtomicBool>) -> anyhow::Result<()> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build()?;
     std::thread::Builder::new().name("signals".to_owned()).spawn(move || {
-        runtime.block_on(async {
-            let interrupt = tokio::signal::ctrl_c();
-            #[cfg(unix)]
-            if let Ok(mut terminate) = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate()) {
-                tokio::select! {
-                    _ = interrupt => {}
-                    _ = terminate.recv() => {}
-                }
-                return;
-            }
-            // A handler that cannot be installed leaves the system's own: the process then simply ends.
-            let _ = interrupt.await;
-        });
+        runtime.block_on(asked_to_stop());
         stop.store(true, Ordering::Relaxed);
     })?;
     Ok(())

@@ -1,7 +1,5 @@
 //! One time per stage of every frame: as CSV while running, as a summary at the end. Memory is bounded however long it runs.
 
-mod histogram;
-
 use std::collections::BTreeMap;
 use std::fmt;
 use std::fs::File;
@@ -9,13 +7,12 @@ use std::io::{BufWriter, Write};
 use std::path::Path;
 
 use mr360_protocol::clock::ClientTime;
-
-pub use self::histogram::Histogram;
+use mr360_protocol::stages::StageTimes;
 
 use crate::decode::DecodeCounters;
 use crate::sync::Drops;
 
-/// Most passes and most tracks told apart; names come from the program and from the catalog.
+/// Most tracks told apart; their names come from the catalog.
 const MAX_NAMES: usize = 64;
 /// Columns before those of the passes.
 const COLUMNS: &str = "frame,pts_us,arrived_us,decoded_us,light_pts_us,light_arrived_us,paired_us,uploaded_us,rendered_us,presented_us,network_us,light_age_us,video_age_us,\
@@ -91,8 +88,7 @@ struct Csv {
 #[derive(Default)]
 pub struct Stats {
     csv: Option<Csv>,
-    stages: BTreeMap<&'static str, Histogram>,
-    passes: BTreeMap<&'static str, Histogram>,
+    stages: StageTimes,
     tracks: BTreeMap<String, (u64, u64)>,
     frames: u64,
     pictures: u64,
@@ -147,7 +143,7 @@ impl Stats {
     pub fn presented(&mut self, times: &FrameTimes, passes: &[PassTime]) {
         self.frames += 1;
         let mut stage = |name, from: ClientTime, to: ClientTime| {
-            self.stages.entry(name).or_default().record(to.0.saturating_sub(from.0));
+            self.stages.record(name, to.0.saturating_sub(from.0));
         };
         if times.new_picture {
             self.pictures += 1;
@@ -163,9 +159,7 @@ impl Stats {
         stage("view (begun → submitted)", times.begun, times.rendered);
         stage("present (submitted → presented)", times.rendered, times.presented);
         for pass in passes.iter().filter(|pass| pass.gpu_ms.is_finite() && pass.gpu_ms >= 0.0) {
-            if self.passes.len() < MAX_NAMES || self.passes.contains_key(pass.name) {
-                self.passes.entry(pass.name).or_default().record((f64::from(pass.gpu_ms) * 1_000.0) as u64);
-            }
+            self.stages.record(&format!("gpu {}", pass.name), (f64::from(pass.gpu_ms) * 1_000.0) as u64);
         }
         self.write_row(times, passes);
     }
@@ -259,16 +253,7 @@ impl fmt::Display for Summary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let stats = &self.0;
         writeln!(f, "{} frames presented, {} pictures", stats.frames, stats.pictures)?;
-        if stats.frames > 0 {
-            writeln!(f, "{:<42} {:>8} {:>9} {:>9} {:>9} {:>9}  ms", "stage", "count", "mean", "p50", "p95", "max")?;
-        }
-        let gpu = stats.passes.iter().map(|(name, histogram)| (format!("gpu {name}"), histogram));
-        for (name, histogram) in stats.stages.iter().map(|(name, h)| ((*name).to_owned(), h)).chain(gpu) {
-            let ms = |us: u64| us as f64 / 1_000.0;
-            let (mean, max) = (histogram.mean() / 1_000.0, ms(histogram.max()));
-            let (p50, p95) = (ms(histogram.percentile(50)), ms(histogram.percentile(95)));
-            writeln!(f, "{name:<42} {:>8} {mean:>9.3} {p50:>9.3} {p95:>9.3} {max:>9.3}", histogram.count())?;
-        }
+        write!(f, "{}", stats.stages)?;
         let Drops { superseded, no_light, late, duplicate, overflow, light_late, light_unused } = stats.drops;
         writeln!(
             f,

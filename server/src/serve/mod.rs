@@ -11,6 +11,7 @@ use std::time::Duration;
 use anyhow::Context;
 use mr360_protocol::scene::Scene;
 use mr360_protocol::scene_file::SceneFile;
+use mr360_protocol::stop::asked_to_stop;
 use mr360_protocol::transport;
 
 use crate::broadcast::{Assets, Broadcast};
@@ -106,19 +107,4 @@ async fn finished(ingest: &IngestHandle) {
     while !ingest.is_finished() {
         poll.tick().await;
     }
-}
-
-/// Ctrl-C, or a service manager's request.
-async fn asked_to_stop() {
-    let interrupt = tokio::signal::ctrl_c();
-    #[cfg(unix)]
-    if let Ok(mut terminate) = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate()) {
-        tokio::select! {
-            _ = interrupt => {}
-            _ = terminate.recv() => {}
-        }
-        return;
-    }
-    // A handler that cannot be installed leaves the system's own: the process then simply ends.
-    let _ = interrupt.await;
 }
