@@ -100,6 +100,15 @@ fn picture(index: u64, clock: ClientClock) -> Decoded {
 
 /// Feeds `count` pictures, 10 ms apart in pts, with their lights, as fast as they are taken; then the stream ends.
 fn frame_loop(count: u64, csv: Option<&std::path::Path>) -> (FrameLoop, std::thread::JoinHandle<()>) {
+    fed(count, csv, false)
+}
+
+/// As [`frame_loop`], but the last picture comes again and again until nobody listens: the stream never ends by itself.
+fn endless_frame_loop(count: u64) -> (FrameLoop, std::thread::JoinHandle<()>) {
+    fed(count, None, true)
+}
+
+fn fed(count: u64, csv: Option<&std::path::Path>, endless: bool) -> (FrameLoop, std::thread::JoinHandle<()>) {
     let clock = ClientClock::start();
     let (pictures, taken): (PictureSender, PictureReceiver) = outbox(1);
     let (lights, arrivals) = channel();
@@ -111,7 +120,8 @@ fn frame_loop(count: u64, csv: Option<&std::path::Path>) -> (FrameLoop, std::thr
     let feeder = std::thread::spawn(move || {
         // The arrivals' sender lives as long as the pictures'.
         let _lights = lights;
-        for index in 0..count {
+        let again = std::iter::repeat_n(count - 1, if endless { usize::MAX } else { 0 });
+        for index in (0..count).chain(again) {
             if pictures.send(picture(index, clock)).is_err() {
                 return;
             }
@@ -173,26 +183,30 @@ fn a_fixed_pace_repeats_the_picture_and_stops_at_the_count() {
 
 #[test]
 fn a_lost_device_is_opened_anew_a_few_times() {
-    let (mut frames, feeder) = frame_loop(12, None);
+    let (mut frames, feeder) = endless_frame_loop(12);
+    let options = options();
     let mut opened = 0;
     let report = run(
         &mut frames,
-        &options(),
+        &options,
         &mut || {
             opened += 1;
+            options.stop.store(opened == 2, Ordering::Relaxed);
             Ok(graphics((opened == 1).then_some(1)))
         },
         &mut still,
     );
+    drop(frames);
     feeder.join().unwrap();
     assert!(report.unwrap().frames >= 1);
     assert_eq!(opened, 2);
 
-    let (mut frames, feeder) = frame_loop(12, None);
+    let (mut frames, feeder) = endless_frame_loop(12);
+    let options = HeadlessOptions { stop: Arc::default(), ..options };
     let mut opened = 0;
     let failed = run(
         &mut frames,
-        &options(),
+        &options,
         &mut || {
             opened += 1;
             Ok(graphics(Some(0)))
