@@ -37,12 +37,16 @@ fn kept_share(luminance: f32, threshold: f32) -> f32 {
 }
 
 /// Candidates of one frame, strongest first after [`Candidates::collect`]; the buffer is reused.
-#[derive(Default)]
 pub(super) struct Candidates {
     list: Vec<Candidate>,
 }
 
 impl Candidates {
+    /// Room for the candidates of `regions` regions, so that no frame allocates.
+    pub(super) fn new(regions: usize) -> Self {
+        Self { list: Vec::with_capacity(regions) }
+    }
+
     /// Measures every region: Eq. 4 of Rhee et al. 2017 for each of its texels, with `luma` as luminance.
     /// Regions without any excess over the threshold are left out.
     pub(super) fn collect(&mut self, panorama: &Panorama, regions: &Regions, luma: Vec3, threshold: f32) {

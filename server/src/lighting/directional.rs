@@ -14,7 +14,7 @@ use super::candidates::{Candidate, Candidates};
 use super::harmonics::project9;
 use super::panorama::Panorama;
 use super::recovery::recover;
-use super::regions::{Regions, Topology};
+use super::regions::{Regions, Topology, most_regions};
 use super::sampling::Grid;
 use super::{Estimate, LightError, LightMethod, StepTimes};
 use crate::frame::Frame;
@@ -45,13 +45,14 @@ pub struct Directional {
 
 impl Default for Directional {
     fn default() -> Self {
+        let width = SIZE.width as usize;
         Self {
             panorama: Panorama::new(SIZE, Lift::Highlights),
             white: radiance_from_code(Lift::Highlights, Colour::default(), Vec3::ONE).dot(LUMA),
-            luminance: vec![0.0; SIZE.width as usize * UPPER_ROWS],
-            regions: Regions::default(),
-            candidates: Candidates::default(),
-            estimate: Estimate::default(),
+            luminance: vec![0.0; width * UPPER_ROWS],
+            regions: Regions::new(width, UPPER_ROWS),
+            candidates: Candidates::new(most_regions(width, UPPER_ROWS)),
+            estimate: Estimate { lights: Vec::with_capacity(MOST_LIGHTS), ..Estimate::default() },
         }
     }
 }

@@ -16,6 +16,8 @@ mod harmonics;
 mod iorns;
 mod mr360;
 mod panorama;
+#[cfg(test)]
+mod paper_forms;
 mod radiance;
 mod recovery;
 mod regions;
@@ -143,6 +145,8 @@ mod tests {
             assert_eq!(method(name).unwrap().name(), name);
         }
         assert!(METHODS.contains(&DEFAULT_METHOD));
+        let lifts = METHODS.map(|name| method(name).unwrap().lift());
+        assert_eq!(lifts, [Lift::Highlights, Lift::InverseToneMap, Lift::InverseToneMap]);
         let error = method("magic").err().unwrap().to_string();
         assert!(METHODS.iter().all(|name| error.contains(name)), "{error}");
     }

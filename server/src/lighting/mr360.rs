@@ -13,7 +13,7 @@ use super::candidates::{Candidate, Candidates};
 use super::harmonics::project9;
 use super::panorama::Panorama;
 use super::radiance::Planes;
-use super::regions::{Regions, Topology};
+use super::regions::{Regions, Topology, most_regions};
 use super::sampling::Grid;
 use super::{Estimate, LightError, LightMethod, StepTimes};
 use crate::frame::Frame;
@@ -21,6 +21,8 @@ use crate::frame::Frame;
 /// Section 6.3: the upper half is 600×150. The lower half is needed for the residual only. The tone map is inverted
 /// at twice that resolution, before the resampling.
 const SIZE: Grid = Grid { width: 600, height: 300, supersample: 2 };
+/// Rows of the upper half.
+const UPPER_ROWS: usize = 150;
 /// Section 4.1: the smallest number of lights that hold this share of all detected irradiance is kept.
 const KEPT_SHARE: f64 = 0.9;
 /// Relative margin over the mean that a threshold needs, so that rounding in an even sky makes no light.
@@ -54,15 +56,16 @@ impl Mr360 {
     /// lifted panorama's energy. It stands in for light lost to clipping, so HDR frames are never given it.
     #[must_use]
     pub fn new(size_intensity: bool) -> Self {
-        let texels = (SIZE.width * SIZE.height / 2) as usize;
+        let width = SIZE.width as usize;
+        let texels = width * UPPER_ROWS;
         Self {
             panorama: Panorama::new(SIZE, Lift::InverseToneMap),
             luminance: vec![0.0; texels],
             blurred: vec![0.0; texels],
             across: vec![0.0; texels],
-            regions: Regions::default(),
-            candidates: Candidates::default(),
-            estimate: Estimate::default(),
+            regions: Regions::new(width, UPPER_ROWS),
+            candidates: Candidates::new(most_regions(width, UPPER_ROWS)),
+            estimate: Estimate { lights: Vec::with_capacity(MAX_LIGHTS), ..Estimate::default() },
             size_intensity,
         }
     }

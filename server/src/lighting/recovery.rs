@@ -82,3 +82,73 @@ fn brighten(panorama: &mut Panorama, threshold: f32, luma: Vec3, gain: f32) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::f32::consts::PI;
+
+    use glam::Vec2;
+    use mr360_protocol::light::Lift;
+    use mr360_protocol::video::{StereoLayout, Transfer};
+    use mr360_shaders::colour::radiance_from_code;
+    use mr360_shaders::equirect::direction_from_uv;
+    use mr360_shaders::sh;
+
+    use crate::frame::{Frame, Pixels};
+    use crate::lighting::{Directional, LightMethod, StepTimes};
+
+    /// A clipped sun in an even sky over ground that shows what it really gave.
+    fn clipped_sun(ground: f32) -> (Frame, f32) {
+        let (sky_code, elevation) = (0.4f32, 40.0f32.to_radians());
+        let sun = direction_from_uv(Vec2::new(0.6, 0.5 - elevation / PI));
+        let texels = (0..256)
+            .flat_map(|j| (0..512).map(move |i| direction_from_uv(Vec2::new((i as f32 + 0.5) / 512.0, (j as f32 + 0.5) / 256.0))))
+            .map(|d| {
+                let code = if d.y <= 0.0 {
+                    ground.powf(1.0 / 2.4)
+                } else if d.dot(sun) > 4.0f32.to_radians().cos() {
+                    1.0
+                } else {
+                    sky_code
+                };
+                [code; 3]
+            })
+            .collect();
+        let frame = Frame {
+            pts_us: 0,
+            stereo: StereoLayout::Mono,
+            pixels: Pixels::Rgb { width: 512, height: 256, texels, transfer: Transfer::Bt709 },
+        };
+        (frame, elevation.sin())
+    }
+
+    #[test]
+    fn a_clipped_sun_is_recovered_from_the_ground() {
+        let sky = PI * radiance_from_code(Lift::Highlights, Default::default(), Vec3::splat(0.4)).x;
+        let sun_on_ground = 1.5;
+        // Ground of the albedo that the method assumes.
+        let (frame, sine) = clipped_sun(0.3 / PI * (sky + sun_on_ground));
+        let mut method = Directional::default();
+        let estimate = method.estimate(&frame, &mut StepTimes::default()).unwrap();
+        assert_eq!(estimate.lights.len(), 1);
+        let found = estimate.lights[0].irradiance.y * sine;
+        // Less what of the disc lies below the threshold of μ + 2σ and stays in the SH, a tenth here.
+        assert!((found / sun_on_ground - 0.9).abs() < 0.03, "{found}");
+        let total = sh::irradiance(&estimate.sh, Vec3::Y).y + found;
+        // Nine SH hold the level irradiance of a half space exactly; the tenth of the sun that is theirs comes 5 % low.
+        assert!((total / (sky + sun_on_ground) - 1.0).abs() < 0.01, "{total}");
+    }
+
+    #[test]
+    fn a_dark_ground_recovers_nothing_and_a_bright_one_has_a_limit() {
+        let up = |ground: f32| {
+            let (frame, sine) = clipped_sun(ground);
+            let mut method = Directional::default();
+            let estimate = method.estimate(&frame, &mut StepTimes::default()).unwrap();
+            estimate.lights.iter().map(|light| light.irradiance.y * sine).sum::<f32>()
+        };
+        let (dark, dim, bright, white) = (up(0.0), up(0.01), up(0.5), up(0.95));
+        assert_eq!(dark, dim);
+        assert!(bright > 4.0 * dark && white <= bright * 2.0, "{dark} {bright} {white}");
+    }
+}

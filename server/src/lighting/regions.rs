@@ -10,8 +10,12 @@ pub(super) enum Topology {
     Panorama,
 }
 
+/// Most eight-connected regions of a mask: any 2×2 texels touch each other, so they hold parts of at most one.
+pub(super) fn most_regions(width: usize, rows: usize) -> usize {
+    width.div_ceil(2) * rows.div_ceil(2)
+}
+
 /// Eight-connected regions of a mask; buffers are reused.
-#[derive(Default)]
 pub(super) struct Regions {
     mask: Vec<bool>,
     members: Vec<u32>,
@@ -19,6 +23,12 @@ pub(super) struct Regions {
 }
 
 impl Regions {
+    /// Room for whatever a mask of this size may hold, so that no frame allocates.
+    pub(super) fn new(width: usize, rows: usize) -> Self {
+        let texels = width * rows;
+        Self { mask: Vec::with_capacity(texels), members: Vec::with_capacity(texels), ends: Vec::with_capacity(most_regions(width, rows)) }
+    }
+
     /// Finds the regions of the texels of a `width`-wide map for which `inside` holds.
     pub(super) fn find(&mut self, width: usize, values: &[f32], topology: Topology, inside: impl Fn(f32) -> bool) {
         self.mask.clear();
@@ -85,7 +95,7 @@ mod tests {
 
     fn count(picture: &[&str], topology: Topology) -> usize {
         let values: Vec<f32> = picture.iter().flat_map(|row| row.bytes().map(|b| f32::from(b == b'#'))).collect();
-        let mut regions = Regions::default();
+        let mut regions = Regions::new(picture[0].len(), picture.len());
         regions.find(picture[0].len(), &values, topology, |v| v > 0.5);
         let texels: usize = regions.iter().map(<[u32]>::len).sum();
         assert_eq!(texels, values.iter().filter(|v| **v > 0.5).count());
