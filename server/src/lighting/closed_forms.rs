@@ -292,8 +292,8 @@ fn luminance_ranks_lights_and_not_radiance() {
         for (light, disc) in estimate.lights.iter().zip(&discs) {
             assert!(degrees(light.direction, disc.centre) < 0.5, "{}: {estimate:?}", method.name());
             let hue = light.irradiance / disc.irradiance().max_element();
-            // Each keeps its hue; μ + 2σ takes up to a seventh off the darkest.
-            assert!((hue - disc.radiance / disc.radiance.max_element()).abs().max_element() < 0.15, "{}: {light:?}", method.name());
+            // Each keeps its hue. μ + 2σ is a sixth of the darkest, and its rim's texels keep as much, too.
+            assert!((hue - disc.radiance / disc.radiance.max_element()).abs().max_element() < 0.3, "{}: {light:?}", method.name());
         }
         assert_conserved(&estimate, &frame);
     }
@@ -307,8 +307,8 @@ fn light_from_below_is_ambient() {
         let estimate = estimate(method.as_mut(), &frame);
         assert_eq!(estimate.lights.len(), 1, "{}: {estimate:?}", method.name());
         assert!(degrees(estimate.lights[0].direction, discs[0].centre) < 0.5, "{}: {estimate:?}", method.name());
-        // The threshold is the upper sky's alone, μ + 2σ of one sun: a few percent of it.
-        assert!(relative(estimate.lights[0].irradiance, discs[0].irradiance()) < 0.05, "{}: {estimate:?}", method.name());
+        // The threshold is the upper sky's alone: μ + 2σ of one sun is 4 % of it, which texels on the rim keep, too.
+        assert!(relative(estimate.lights[0].irradiance, discs[0].irradiance()) < 0.07, "{}: {estimate:?}", method.name());
         assert_conserved(&estimate, &frame);
     }
 }

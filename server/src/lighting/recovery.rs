@@ -87,7 +87,7 @@ fn brighten(panorama: &mut Panorama, threshold: f32, luma: Vec3, gain: f32) {
 mod tests {
     use std::f32::consts::PI;
 
-    use glam::Vec2;
+    use glam::{Vec2, Vec3};
     use mr360_protocol::light::Lift;
     use mr360_protocol::video::{StereoLayout, Transfer};
     use mr360_shaders::colour::radiance_from_code;
