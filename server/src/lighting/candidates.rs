@@ -105,3 +105,36 @@ fn measure(panorama: &Panorama, region: usize, members: &[u32], luma: Vec3, thre
     }
     sum
 }
+
+#[cfg(test)]
+mod tests {
+    use mr360_protocol::light::Lift;
+
+    use super::*;
+    use crate::lighting::regions::Topology;
+    use crate::lighting::sampling::Grid;
+
+    #[test]
+    fn regions_without_excess_are_no_candidates() {
+        let mut panorama = Panorama::new(Grid { width: 8, height: 4, supersample: 1 }, Lift::Linear);
+        panorama.set_radiance(9, Vec3::splat(3.0));
+        panorama.set_radiance(13, Vec3::splat(1.0));
+        // As after a blur, the mask has texels that are not above the threshold themselves.
+        let mut mask = [0.0; 32];
+        [8, 9, 13].map(|texel: usize| mask[texel] = 1.0);
+        let mut regions = Regions::new(8, 4);
+        regions.find(8, &mask, Topology::Flat, |v| v > 0.5);
+        let mut candidates = Candidates::new(regions.len());
+        candidates.collect(&panorama, &regions, Vec3::splat(1.0 / 3.0), 2.0);
+        let [only] = candidates.list() else { panic!("{:?}", candidates.list()) };
+        let texel_sr = f64::from(panorama.geometry.solid_angle_sr[1]);
+        // Eq. 4: 3 − 3·min(1, 2/3), and the texel beside it adds neither light nor size.
+        assert!((only.irradiance / texel_sr - 1.0).abs().max_element() < 1e-6, "{only:?}");
+        assert!(
+            (only.solid_angle_sr - texel_sr).abs() < 1e-9 && (only.effective_solid_angle_sr() / texel_sr - 1.0).abs() < 1e-6,
+            "{only:?}"
+        );
+        candidates.take_out(1, &mut panorama, &regions, Vec3::splat(1.0 / 3.0), 2.0);
+        assert_eq!([8, 9, 13].map(|texel| panorama.radiance(texel).y), [0.0, 2.0, 1.0]);
+    }
+}

@@ -40,3 +40,29 @@ impl LightMethod for Iorns {
         Ok(&self.estimate)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use ffmpeg_next::format::Pixel;
+    use mr360_protocol::video::{Colour, StereoLayout};
+
+    use super::*;
+    use crate::frame::Pixels;
+
+    #[test]
+    fn video_is_tone_mapped_at_512_columns() {
+        // Columns of black and white: lifted one by one they give half of white's 11.8, averaged first 0.9.
+        let mut video = ffmpeg_next::frame::Video::new(Pixel::YUV444P, 512, 256);
+        for plane in 0..3 {
+            let stride = video.stride(plane);
+            for (at, code) in video.data_mut(plane).iter_mut().enumerate() {
+                *code = if plane == 0 { 16 + 219 * (at % stride % 2) as u8 } else { 128 };
+            }
+        }
+        let frame = Frame { pts_us: 0, stereo: StereoLayout::Mono, pixels: Pixels::Video(video, Colour::default()) };
+        let mut method = Iorns::default();
+        let estimate = method.estimate(&frame, &mut StepTimes::default()).unwrap();
+        let mean = estimate.sh[0] / (4.0 * std::f32::consts::PI).sqrt();
+        assert!((mean / 5.9 - 1.0).abs().max_element() < 4e-3, "{mean}");
+    }
+}

@@ -189,6 +189,11 @@ mod tests {
         box_blur(&source, 7, &mut across, &mut out);
         assert!((out.iter().sum::<f32>() - 9.0).abs() < 1e-5);
         assert!((out[7 + 2] - 1.0).abs() < 1e-6 && out[0] == 0.0);
+        // At the sides the edge is repeated and the other side of the picture is not seen.
+        source.fill(0.0);
+        source[2 * 7] = 9.0;
+        box_blur(&source, 7, &mut across, &mut out);
+        assert!((out[2 * 7] - 2.0).abs() < 1e-6 && out[2 * 7 + 6] == 0.0, "{out:?}");
         box_blur(&[0.5; 35], 7, &mut across, &mut out);
         assert!(out.iter().all(|v| (v - 0.5).abs() < 1e-6));
     }
@@ -197,6 +202,8 @@ mod tests {
     fn threshold_is_two_deviations_above_the_mean() {
         // μ = 1, σ = 1.
         assert!((statistical_threshold(&[0.0, 2.0, 0.0, 2.0]) - 3.0).abs() < 1e-6);
+        // An even picture has no deviation, and nothing in it stands out.
+        assert!(statistical_threshold(&[0.1; 9]) > 0.1 * 1.0005);
     }
 
     #[test]

@@ -338,6 +338,8 @@ mod tests {
         let panorama = taken(&frame, Lift::Linear, 1);
         assert_eq!(panorama.row(0, 3)[..5], [0.0, 0.0, MAX_MAGNITUDE, 0.0, LARGEST_RADIANCE]);
         assert_eq!(panorama.mended, 5);
+        let over = rgb(16, 8, Transfer::Srgb, |_, _| [1.5, 0.5, 1.0]);
+        assert_eq!(taken(&over, Lift::Linear, 1).mended, 128);
         // Rows shared by several rows of texels are counted once.
         let small = rgb(4, 3, Transfer::Linear, |_, _| [-1.0, 0.0, 0.0]);
         assert_eq!(taken(&small, Lift::Linear, 1).mended, 12);

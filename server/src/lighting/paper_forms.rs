@@ -6,7 +6,7 @@ use glam::{Vec2, Vec3};
 use mr360_protocol::video::Transfer;
 use mr360_shaders::equirect::{direction_from_uv, uv_from_direction};
 
-use super::closed_forms::{Disc, SUN, assert_conserved, degrees, estimate, irradiance, nine_sh, normals, relative, sky};
+use super::closed_forms::{Disc, SUN, assert_conserved, degrees, estimate, frame, irradiance, nine_sh, normals, relative, sky};
 use super::{Directional, Mr360};
 
 /// Rows of the method's upper half.
@@ -85,6 +85,19 @@ fn discs_near_the_pole_have_the_mean_of_their_angles() {
         // A quarter of a row for texels on the rim, whose part above the threshold is smaller than what they cover.
         assert!(degrees(estimate.lights[0].direction, expected) < 0.15, "{longitude} {latitude}: {expected} {estimate:?}");
         assert!(degrees(expected, disc.centre) >= off, "{longitude} {latitude}: {expected}");
+    }
+}
+
+#[test]
+fn the_blur_bridges_gaps_of_a_texel() {
+    for (gap, lights) in [(1, 1), (3, 2)] {
+        // Two squares of four texels, as large as the method's own.
+        let bright = |i: u32, j: u32| (60..64).contains(&j) && ((400..404).contains(&i) || (404 + gap..408 + gap).contains(&i));
+        let texels = (0..300).flat_map(|j| (0..600).map(move |i| [if bright(i, j) { 1000.0 } else { 0.0 }; 3])).collect();
+        let frame = frame(600, 300, Transfer::Linear, texels);
+        let estimate = estimate(&mut Mr360::new(false), &frame);
+        assert_eq!(estimate.lights.len(), lights, "{estimate:?}");
+        assert_conserved(&estimate, &frame);
     }
 }
 

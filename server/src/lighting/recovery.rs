@@ -87,15 +87,59 @@ fn brighten(panorama: &mut Panorama, threshold: f32, luma: Vec3, gain: f32) {
 mod tests {
     use std::f32::consts::PI;
 
-    use glam::{Vec2, Vec3};
+    use glam::Vec2;
     use mr360_protocol::light::Lift;
     use mr360_protocol::video::{StereoLayout, Transfer};
     use mr360_shaders::colour::radiance_from_code;
     use mr360_shaders::equirect::direction_from_uv;
     use mr360_shaders::sh;
 
+    use super::*;
     use crate::frame::{Frame, Pixels};
+    use crate::lighting::sampling::Grid;
     use crate::lighting::{Directional, LightMethod, StepTimes};
+
+    #[test]
+    fn what_the_ground_shows_goes_to_the_clipped_texels_of_the_sky_alone() {
+        let (width, luma, white) = (32, Vec3::splat(1.0 / 3.0), 10.0);
+        let mut panorama = Panorama::new(Grid { width, height: 16, supersample: 1 }, Lift::Linear);
+        let sines: Vec<f32> = panorama.geometry.sin_cos_latitude.iter().map(|(sine, _)| *sine).collect();
+        for texel in 0..32 * 16 {
+            // Sky, what stands on the horizon, ground.
+            let sine = sines[texel / 32];
+            panorama.set_radiance(
+                texel,
+                Vec3::splat(if sine > 0.0 {
+                    1.0
+                } else if sine > -GROUND_SINE {
+                    50.0
+                } else {
+                    0.5
+                }),
+            );
+        }
+        let (clipped, nearly, bright, puddle) = (70, 75, 80, 400);
+        for (texel, radiance) in [(clipped, white), (nearly, 0.8 * white), (bright, 0.6 * white), (puddle, white)] {
+            panorama.set_radiance(texel, Vec3::splat(radiance));
+        }
+        let sum = |panorama: &Panorama, rows: &dyn Fn(f32) -> bool, of: &dyn Fn(f32) -> f32| -> f64 {
+            let weigh = |row: usize| f64::from(panorama.geometry.solid_angle_sr[row] * sines[row].abs());
+            (0..16)
+                .filter(|row| rows(sines[*row]))
+                .map(|row| panorama.row(0, row).iter().map(|y| f64::from(of(*y))).sum::<f64>() * weigh(row))
+                .sum()
+        };
+        let ground = |sine: f32| sine < -0.25;
+        let explained = std::f64::consts::PI * sum(&panorama, &ground, &|y| y) / sum(&panorama, &ground, &|_| 1.0) / 0.3;
+        let before = sum(&panorama, &|sine| sine > 0.0, &|y| y);
+        assert!(explained > 1.2 * before && explained < 4.0 * before, "{explained} {before}");
+        recover(&mut panorama, white, luma);
+        let after = sum(&panorama, &|sine| sine > 0.0, &|y| y);
+        assert!((after / explained - 1.0).abs() < 1e-4, "{after} against {explained}");
+        let at = |texel: usize| panorama.radiance(texel).x;
+        assert!(at(clipped) > white && (at(nearly) / at(clipped) - 0.8).abs() < 1e-5);
+        assert_eq!([at(bright), at(puddle), at(0)], [0.6 * white, white, 1.0]);
+    }
 
     /// A clipped sun in an even sky over ground that shows what it really gave.
     fn clipped_sun(ground: f32) -> (Frame, f32) {

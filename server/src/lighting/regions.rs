@@ -106,6 +106,9 @@ mod tests {
     fn corners_connect_and_gaps_do_not() {
         assert_eq!(count(&["#...", ".#..", "...#"], Topology::Flat), 2);
         assert_eq!(count(&["....", "...."], Topology::Flat), 0);
+        // Down one side and up the other.
+        assert_eq!(count(&["#..#", "#..#", "####"], Topology::Flat), 1);
+        assert_eq!(most_regions(5, 3), count(&["#.#.#", ".....", "#.#.#"], Topology::Flat));
     }
 
     #[test]
