@@ -388,6 +388,26 @@ mod tests {
     }
 
     #[test]
+    fn every_block_of_video_has_its_own_colour() {
+        // As large as the texels that share their chroma, 4×4 pixels.
+        let code = |plane: usize, c: u32, r: u32| [60 + 20 * r + 5 * c, 100 + 10 * r + 3 * c, 150 + 4 * c - 8 * r][plane] as u16;
+        let colour = Colour::default();
+        let (rgb_from_yuv, offset) = mr360_shaders::colour::rgb_from_yuv(colour);
+        let panorama = taken(&video(Pixel::YUV444P, 32, 16, colour, |plane, x, y| code(plane, x / 4, y / 4)), Lift::Linear, 1);
+        for (row, column) in (0..8).flat_map(|row| (0..16).map(move |column| (row, column))) {
+            let yuv = Vec3::from_array([0, 1, 2].map(|plane| f32::from(code(plane, column / 2, row / 2)) / 255.0));
+            let rgb = (rgb_from_yuv * (yuv - offset)).clamp(Vec3::ZERO, Vec3::ONE);
+            let expected = mr360_shaders::colour::radiance_from_code(Lift::Linear, colour, rgb);
+            let got = panorama.radiance((row * 16 + column) as usize);
+            // Half a table step.
+            assert!((got - expected).abs().max_element() < 2e-3, "{row} {column}: {got} against {expected}");
+        }
+        // Codes above white are white.
+        let over = taken(&video(Pixel::YUV444P, 32, 16, colour, |plane, _, _| [255, 128, 128][plane]), Lift::Linear, 1);
+        assert!(over.channels.iter().flatten().all(|v| (v - 1.0).abs() < 2e-3), "{}", over.radiance(0));
+    }
+
+    #[test]
     fn pq_and_hlg_video_are_true_hdr() {
         for (transfer, code, expected) in
             [(Transfer::Pq, 0.580_6, 1.0), (Transfer::Pq, 0.75, 4.85), (Transfer::Hlg, 0.75, 1.0), (Transfer::Hlg, 1.0, 4.926)]
