@@ -121,7 +121,9 @@ mod tests {
         panorama.set_radiance(13, Vec3::splat(1.0));
         // As after a blur, the mask has texels that are not above the threshold themselves.
         let mut mask = [0.0; 32];
-        [8, 9, 13].map(|texel: usize| mask[texel] = 1.0);
+        for texel in [8, 9, 13] {
+            mask[texel] = 1.0;
+        }
         let mut regions = Regions::new(8, 4);
         regions.find(8, &mask, Topology::Flat, |v| v > 0.5);
         let mut candidates = Candidates::new(regions.len());
