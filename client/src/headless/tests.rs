@@ -27,7 +27,7 @@ impl Stage for Clear {
         Ok(false)
     }
 
-    fn update(&mut self, paired: &Paired) -> Result<(), FrameError> {
+    fn update(&mut self, paired: Paired) -> Result<(), FrameError> {
         assert_eq!(paired.light.as_ref().map(|light| light.light.pts_us), Some(paired.picture.pts_us));
         let Samples::Yuv { planes, .. } = &paired.picture.samples else { panic!("not YUV") };
         self.luma = planes[0].data[0];
@@ -100,29 +100,24 @@ fn picture(index: u64, clock: ClientClock) -> Decoded {
 
 /// Feeds `count` pictures, 10 ms apart in pts, with their lights, as fast as they are taken; then the stream ends.
 fn frame_loop(count: u64, csv: Option<&std::path::Path>) -> (FrameLoop, std::thread::JoinHandle<()>) {
-    fed(count, csv, false)
+    fed(count, csv)
 }
 
-/// As [`frame_loop`], but the last picture comes again and again until nobody listens: the stream never ends by itself.
-fn endless_frame_loop(count: u64) -> (FrameLoop, std::thread::JoinHandle<()>) {
-    fed(count, None, true)
+/// As [`frame_loop`], but pictures come until nobody listens: the stream never ends by itself.
+pub(crate) fn endless_frame_loop() -> (FrameLoop, std::thread::JoinHandle<()>) {
+    fed(u64::MAX, None)
 }
 
-fn fed(count: u64, csv: Option<&std::path::Path>, endless: bool) -> (FrameLoop, std::thread::JoinHandle<()>) {
+fn fed(count: u64, csv: Option<&std::path::Path>) -> (FrameLoop, std::thread::JoinHandle<()>) {
     let clock = ClientClock::start();
     let (pictures, taken): (PictureSender, PictureReceiver) = outbox(1);
     let (lights, arrivals) = channel();
-    for index in 0..count {
-        let light =
-            LightFrame { pts_us: index * 10_000, published_us: 0, lift: Default::default(), sh: vec![Vec3::ONE; SH9], lights: vec![] };
-        lights.send(Arrival::Light(ReceivedLight { light, arrived: clock.now() })).unwrap();
-    }
     let feeder = std::thread::spawn(move || {
-        // The arrivals' sender lives as long as the pictures'.
-        let _lights = lights;
-        let again = std::iter::repeat_n(count - 1, if endless { usize::MAX } else { 0 });
-        for index in (0..count).chain(again) {
-            if pictures.send(picture(index, clock)).is_err() {
+        for index in 0..count {
+            let light =
+                LightFrame { pts_us: index * 10_000, published_us: 0, lift: Default::default(), sh: vec![Vec3::ONE; SH9], lights: vec![] };
+            let light = Arrival::Light(ReceivedLight { light, arrived: clock.now() });
+            if lights.send(light).is_err() || pictures.send(picture(index, clock)).is_err() {
                 return;
             }
         }
@@ -183,7 +178,7 @@ fn a_fixed_pace_repeats_the_picture_and_stops_at_the_count() {
 
 #[test]
 fn a_lost_device_is_opened_anew_a_few_times() {
-    let (mut frames, feeder) = endless_frame_loop(12);
+    let (mut frames, feeder) = endless_frame_loop();
     let options = options();
     let mut opened = 0;
     let report = run(
@@ -201,7 +196,7 @@ fn a_lost_device_is_opened_anew_a_few_times() {
     assert!(report.unwrap().frames >= 1);
     assert_eq!(opened, 2);
 
-    let (mut frames, feeder) = endless_frame_loop(12);
+    let (mut frames, feeder) = endless_frame_loop();
     let options = HeadlessOptions { stop: Arc::default(), ..options };
     let mut opened = 0;
     let failed = run(
