@@ -112,7 +112,8 @@ fn write(options: &Options, runs: &[Run]) -> Result<()> {
     let summary = format!(
         "# Rendering\n\n`mr360-bench render`: source `{}`, the scene `{}` at {}, {} frames a viewer, all but the first picture without its \
          first second. Server and one viewer at a time share one machine with {cores} cores. The early viewer joins as soon as the server can be \
-         joined and waits for its source; the late one joins a broadcast on air. First pictures count from the start of the viewer's program.\n\n{}\n\
+         joined and waits for its source; the late one joins a broadcast on air. First pictures count from the start of the viewer's program; the driver's \
+         shader cache is empty for the early one and filled for the late one.\n\n{}\n\
          GPU time of each pass, where the driver tells it:\n\n{}\n",
         options.source,
         options.scene.file_name().unwrap_or_default().display(),
