@@ -73,7 +73,7 @@ pub fn run(options: &Options) -> Result<()> {
 }
 
 fn measure(name: &'static str, samples: &Samples) -> Result<Run> {
-    let first = |column| Ok::<_, anyhow::Error>(samples.column(column)?.into_iter().flatten().next().context("no frame was presented")?);
+    let first = |column| samples.column(column)?.into_iter().flatten().next().context("no frame was presented");
     let (presented, arrived) = (first("presented_us")?, first("arrived_us")?);
     let warm = [samples.after("presented_us", WARM_UP_US)?];
     let times: Vec<f64> = warm[0].column("presented_us")?.into_iter().flatten().map(|us| us / 1e6).collect();
