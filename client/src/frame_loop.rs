@@ -341,6 +341,10 @@ impl FrameLoop {
         let passes = stage.draw(camera, &target)?;
         let rendered = self.clock.now();
         presenter.present(on_stage.pts_us, rendered)?;
+        // What a lost device drew is nothing to count.
+        if let Some(detail) = stage.device_lost() {
+            return Err(FrameError::DeviceLost { detail });
+        }
         let times = FrameTimes {
             frame: self.frames,
             pts_us: on_stage.pts_us,

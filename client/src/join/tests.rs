@@ -119,4 +119,8 @@ fn a_device_destroyed_in_mid_run_is_opened_anew_and_the_objects_come_back() {
     for step in [Step::Prepare, Step::Update, Step::Draw] {
         assert_eq!(watch(6, Some((step, 2))), (whole, 2), "destroyed in {step:?}");
     }
+    // While the geometry goes up, and in the last frame, which counts only when a device has drawn it.
+    for calls in [0, 5] {
+        assert_eq!(watch(6, Some((Step::Draw, calls))), (whole, 2), "destroyed in draw {calls}");
+    }
 }
