@@ -68,7 +68,7 @@ pub trait Stage {
     ///
     /// # Errors
     /// As [`Stage::prepare`].
-    fn update(&mut self, paired: &Paired) -> Result<(), FrameError>;
+    fn update(&mut self, paired: Paired) -> Result<(), FrameError>;
 
     /// Draws the view and submits it. Returns the GPU times known by now, those of an earlier frame included.
     ///
@@ -318,16 +318,18 @@ impl FrameLoop {
             audio.set(self.playout.presentation_offset_us());
         }
         let Some(paired) = paired else { return Ok(false) };
-        stage.update(&paired)?;
-        self.on_stage = Some(OnStage {
+        let mut on_stage = OnStage {
             pts_us: paired.picture.pts_us,
             arrived: paired.arrived,
             decoded: paired.decoded,
             light: paired.light.as_ref().and_then(|light| self.light_times(light)),
             paired: paired.paired,
-            uploaded: self.clock.now(),
+            uploaded: paired.paired,
             presented_once: false,
-        });
+        };
+        stage.update(paired)?;
+        on_stage.uploaded = self.clock.now();
+        self.on_stage = Some(on_stage);
         self.stale = true;
         Ok(true)
     }
@@ -339,6 +341,10 @@ impl FrameLoop {
         let passes = stage.draw(camera, &target)?;
         let rendered = self.clock.now();
         presenter.present(on_stage.pts_us, rendered)?;
+        // What a lost device drew is nothing to count.
+        if let Some(detail) = stage.device_lost() {
+            return Err(FrameError::DeviceLost { detail });
+        }
         let times = FrameTimes {
             frame: self.frames,
             pts_us: on_stage.pts_us,

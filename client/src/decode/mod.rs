@@ -85,58 +85,39 @@ pub enum Hardware {
     Never,
 }
 
+/// A count that one thread raises and others read.
+#[derive(Debug, Default)]
+pub struct Counter(AtomicU64);
+
+impl Counter {
+    /// The count so far.
+    #[must_use]
+    pub fn get(&self) -> u64 {
+        self.0.load(Ordering::Relaxed)
+    }
+
+    fn add(&self, count: u64) {
+        self.0.fetch_add(count, Ordering::Relaxed);
+    }
+}
+
 /// What happened to the access units, since the start.
 #[derive(Debug, Default)]
 pub struct DecodeCounters {
-    units: AtomicU64,
-    pictures: AtomicU64,
-    errors: AtomicU64,
-    unanchored: AtomicU64,
-    backlog: AtomicU64,
-    superseded: AtomicU64,
-    blocked_us: AtomicU64,
-}
-
-impl DecodeCounters {
     /// Access units handed in.
-    #[must_use]
-    pub fn units(&self) -> u64 {
-        self.units.load(Ordering::Relaxed)
-    }
-
+    pub units: Counter,
     /// Pictures that came out.
-    #[must_use]
-    pub fn pictures(&self) -> u64 {
-        self.pictures.load(Ordering::Relaxed)
-    }
-
+    pub pictures: Counter,
     /// Units that the decoder refused, and pictures that could not be used.
-    #[must_use]
-    pub fn errors(&self) -> u64 {
-        self.errors.load(Ordering::Relaxed)
-    }
-
+    pub errors: Counter,
     /// Units dropped because no keyframe preceded them, at the start or after an error.
-    #[must_use]
-    pub fn unanchored(&self) -> u64 {
-        self.unanchored.load(Ordering::Relaxed)
-    }
-
+    pub unanchored: Counter,
     /// Units dropped because the decoder could not keep up.
-    #[must_use]
-    pub fn backlog(&self) -> u64 {
-        self.backlog.load(Ordering::Relaxed)
-    }
-
+    pub backlog: Counter,
     /// Pictures that were ready but gave way to newer ones, because the frame loop could not keep up.
-    #[must_use]
-    pub fn superseded(&self) -> u64 {
-        self.superseded.load(Ordering::Relaxed)
-    }
-
-    fn add(counter: &AtomicU64) {
-        counter.fetch_add(1, Ordering::Relaxed);
-    }
+    pub superseded: Counter,
+    /// Time that the decoder stood still because nobody took its pictures, microseconds.
+    blocked_us: Counter,
 }
 
 /// What travels to the thread.
@@ -203,23 +184,23 @@ impl VideoDecoder {
             self.waits_for_keyframe = true;
             return Err(DecodeError::UnitTooLarge { bytes: unit.data.len() });
         }
-        DecodeCounters::add(&self.counters.units);
+        self.counters.units.add(1);
         // To FFmpeg an empty packet means the end of the stream.
         if unit.data.is_empty() {
-            DecodeCounters::add(&self.counters.errors);
+            self.counters.errors.add(1);
             self.waits_for_keyframe = true;
             return Ok(());
         }
         if self.waits_for_keyframe && !unit.keyframe {
-            DecodeCounters::add(&self.counters.unanchored);
+            self.counters.unanchored.add(1);
             return Ok(());
         }
-        let blocked_before_us = self.counters.blocked_us.load(Ordering::Relaxed);
+        let blocked_before_us = self.counters.blocked_us.get();
         let input = self.input.as_ref().ok_or(DecodeError::Stopped)?;
         match input.try_send(Input { unit, format, blocked_before_us }) {
             Ok(()) => self.waits_for_keyframe = false,
             Err(TrySendError::Full(_)) => {
-                DecodeCounters::add(&self.counters.backlog);
+                self.counters.backlog.add(1);
                 self.waits_for_keyframe = true;
             }
             Err(TrySendError::Disconnected(_)) => return Err(DecodeError::Stopped),

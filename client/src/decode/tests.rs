@@ -68,7 +68,7 @@ fn every_unit_gives_its_picture_with_its_pts() {
     let all = decode(decoder, &pictures);
     assert_eq!(all.iter().map(|d| d.picture.pts_us).collect::<Vec<_>>(), (0..25).map(pts_of).collect::<Vec<_>>());
     assert_eq!(all.iter().map(|d| d.arrived.0).collect::<Vec<_>>(), (0..25).collect::<Vec<_>>());
-    assert_eq!((counters.units(), counters.pictures(), counters.errors()), (25, 25, 0));
+    assert_eq!((counters.units.get(), counters.pictures.get(), counters.errors.get()), (25, 25, 0));
     let Samples::Yuv { planes, .. } = &all[0].picture.samples else { panic!("not YUV") };
     assert_eq!((all[0].picture.width, all[0].picture.height), (322, 162));
     assert_eq!(
@@ -146,7 +146,7 @@ fn damage_is_counted_and_healed_by_the_next_keyframe() {
     let counters = decoder.counters();
     // Without its keyframe nothing starts.
     decoder.push(unit(1, false, units[1].1.clone())).unwrap();
-    assert_eq!(counters.unanchored(), 1);
+    assert_eq!(counters.unanchored.get(), 1);
     for (i, (keyframe, data)) in units.iter().enumerate() {
         let mut data = data.to_vec();
         if i == 10 {
@@ -156,7 +156,7 @@ fn damage_is_counted_and_healed_by_the_next_keyframe() {
         decoder.push(unit(i, *keyframe, data.into())).unwrap();
     }
     let shown: Vec<_> = decode(decoder, &pictures).iter().map(|d| d.picture.pts_us).collect();
-    assert!(counters.errors() > 0);
+    assert!(counters.errors.get() > 0);
     assert!((0..10).chain(20..30).all(|i| shown.contains(&pts_of(i))), "{shown:?}");
     assert!(!shown.contains(&pts_of(10)));
 }
@@ -202,11 +202,11 @@ fn a_full_queue_drops_up_to_the_next_keyframe() {
     // Nobody takes pictures, so that each holds the decoder up for a while: units come faster.
     let refused = (0..100_000).find(|i| {
         decoder.push(unit(*i, true, units[0].1.clone())).unwrap();
-        counters.backlog() > 0
+        counters.backlog.get() > 0
     });
     assert!(refused.unwrap() >= QUEUED_UNITS);
     decoder.push(unit(100_000, false, units[0].1.clone())).unwrap();
-    assert_eq!(counters.unanchored(), 1);
+    assert_eq!(counters.unanchored.get(), 1);
     drop(pictures);
     decoder.finish();
 }

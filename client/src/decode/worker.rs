@@ -2,7 +2,6 @@
 
 use std::collections::VecDeque;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 use std::sync::mpsc::Receiver;
 
 use ffmpeg_next as ffmpeg;
@@ -69,7 +68,7 @@ impl Worker {
     fn decode(&mut self, input: &Input) -> Result<(), NobodyListens> {
         let fits = self.decoder.as_ref().is_some_and(|(_, format)| *format == input.format);
         if (self.waits_for_keyframe || !fits) && !input.unit.keyframe {
-            DecodeCounters::add(&self.counters.unanchored);
+            self.counters.unanchored.add(1);
             return Ok(());
         }
         if !fits {
@@ -77,7 +76,7 @@ impl Worker {
             self.reopen(input.format);
         }
         let Some((opened, _)) = self.decoder.as_mut() else {
-            DecodeCounters::add(&self.counters.errors);
+            self.counters.errors.add(1);
             return Ok(());
         };
         let Ok(pts) = i64::try_from(input.unit.pts_us) else {
@@ -150,14 +149,14 @@ impl Worker {
             self.count_error("a picture came out with a time that no unit had");
             return Ok(());
         };
-        let blocked_us = self.counters.blocked_us.load(Ordering::Relaxed);
+        let blocked_us = self.counters.blocked_us.get();
         let held_us = blocked_us.saturating_sub(inside.blocked_before_us);
-        DecodeCounters::add(&self.counters.pictures);
+        self.counters.pictures.add(1);
         let sent = self.output.send(Decoded { picture, arrived: inside.arrived, decoded, held_us });
         let stood_us = self.clock.now().0.saturating_sub(decoded.0);
-        self.counters.blocked_us.fetch_add(stood_us, Ordering::Relaxed);
+        self.counters.blocked_us.add(stood_us);
         if sent? {
-            DecodeCounters::add(&self.counters.superseded);
+            self.counters.superseded.add(1);
         }
         Ok(())
     }
@@ -195,7 +194,7 @@ impl Worker {
         self.inside.clear();
         self.waits_for_keyframe = true;
         self.strikes += 1;
-        DecodeCounters::add(&self.counters.errors);
+        self.counters.errors.add(1);
         self.report(&DecodeError::Ffmpeg { codec: format.codec, action, source });
         if on_gpu && self.strikes >= GPU_STRIKES {
             tracing::warn!("the GPU's decoder failed {GPU_STRIKES} times in a row; going on in software");
@@ -205,15 +204,15 @@ impl Worker {
     }
 
     fn report(&self, error: &DecodeError) {
-        if self.counters.errors().is_multiple_of(LOG_EVERY) || self.counters.errors() <= 3 {
-            tracing::warn!(errors = self.counters.errors(), "{error}; waiting for the next keyframe");
+        if self.counters.errors.get().is_multiple_of(LOG_EVERY) || self.counters.errors.get() <= 3 {
+            tracing::warn!(errors = self.counters.errors.get(), "{error}; waiting for the next keyframe");
         }
     }
 
     fn count_error(&self, what: &str) {
-        DecodeCounters::add(&self.counters.errors);
-        if self.counters.errors().is_multiple_of(LOG_EVERY) || self.counters.errors() <= 3 {
-            tracing::warn!(errors = self.counters.errors(), "{what}; the picture is dropped");
+        self.counters.errors.add(1);
+        if self.counters.errors.get().is_multiple_of(LOG_EVERY) || self.counters.errors.get() <= 3 {
+            tracing::warn!(errors = self.counters.errors.get(), "{what}; the picture is dropped");
         }
     }
 }

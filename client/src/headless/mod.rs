@@ -2,7 +2,7 @@
 
 mod offscreen;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -97,7 +97,7 @@ pub type Open<'a, S> = dyn FnMut() -> Result<Graphics<S>, BoxError> + 'a;
 /// the run began.
 ///
 /// # Errors
-/// [`HeadlessError`]. A recording that ends early, as by a full disk, is no error: it is logged and reported.
+/// [`HeadlessError`]. A recording that ends early, or at once, as by a full disk, is no error: it is logged and reported.
 pub fn run<S: Stage>(
     frames: &mut FrameLoop,
     options: &HeadlessOptions,

@@ -18,8 +18,8 @@ struct Clear {
     device: wgpu::Device,
     queue: wgpu::Queue,
     luma: u8,
-    /// Counts down to a pretended loss of the device.
-    lost_in: Option<u32>,
+    /// Pretends that the device is lost.
+    lost: bool,
 }
 
 impl Stage for Clear {
@@ -27,7 +27,7 @@ impl Stage for Clear {
         Ok(false)
     }
 
-    fn update(&mut self, paired: &Paired) -> Result<(), FrameError> {
+    fn update(&mut self, paired: Paired) -> Result<(), FrameError> {
         assert_eq!(paired.light.as_ref().map(|light| light.light.pts_us), Some(paired.picture.pts_us));
         let Samples::Yuv { planes, .. } = &paired.picture.samples else { panic!("not YUV") };
         self.luma = planes[0].data[0];
@@ -50,14 +50,11 @@ impl Stage for Clear {
             ..Default::default()
         }));
         self.queue.submit([encoder.finish()]);
-        if let Some(left) = self.lost_in.as_mut() {
-            *left = left.saturating_sub(1);
-        }
         Ok(vec![PassTime { name: "clear", gpu_ms: 0.5 }])
     }
 
     fn device_lost(&self) -> Option<String> {
-        (self.lost_in == Some(0)).then(|| "pretended".to_owned())
+        self.lost.then(|| "pretended".to_owned())
     }
 
     fn pick(&self, _camera: &Camera, _ndc: Vec2, _aspect: f32) -> Option<ObjectId> {
@@ -73,12 +70,12 @@ impl Stage for Clear {
     }
 }
 
-fn graphics(lost_in: Option<u32>) -> Graphics<Clear> {
+fn graphics(lost: bool) -> Graphics<Clear> {
     let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
     let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
     let adapter = runtime.block_on(instance.request_adapter(&wgpu::RequestAdapterOptions::default())).unwrap();
     let (device, queue) = runtime.block_on(adapter.request_device(&wgpu::DeviceDescriptor::default())).unwrap();
-    Graphics { stage: Clear { device: device.clone(), queue: queue.clone(), luma: 0, lost_in }, device, queue }
+    Graphics { stage: Clear { device: device.clone(), queue: queue.clone(), luma: 0, lost }, device, queue }
 }
 
 fn picture(index: u64, clock: ClientClock) -> Decoded {
@@ -100,29 +97,24 @@ fn picture(index: u64, clock: ClientClock) -> Decoded {
 
 /// Feeds `count` pictures, 10 ms apart in pts, with their lights, as fast as they are taken; then the stream ends.
 fn frame_loop(count: u64, csv: Option<&std::path::Path>) -> (FrameLoop, std::thread::JoinHandle<()>) {
-    fed(count, csv, false)
+    fed(count, csv)
 }
 
-/// As [`frame_loop`], but the last picture comes again and again until nobody listens: the stream never ends by itself.
-fn endless_frame_loop(count: u64) -> (FrameLoop, std::thread::JoinHandle<()>) {
-    fed(count, None, true)
+/// As [`frame_loop`], but pictures come until nobody listens: the stream never ends by itself.
+pub(crate) fn endless_frame_loop() -> (FrameLoop, std::thread::JoinHandle<()>) {
+    fed(u64::MAX, None)
 }
 
-fn fed(count: u64, csv: Option<&std::path::Path>, endless: bool) -> (FrameLoop, std::thread::JoinHandle<()>) {
+fn fed(count: u64, csv: Option<&std::path::Path>) -> (FrameLoop, std::thread::JoinHandle<()>) {
     let clock = ClientClock::start();
     let (pictures, taken): (PictureSender, PictureReceiver) = outbox(1);
     let (lights, arrivals) = channel();
-    for index in 0..count {
-        let light =
-            LightFrame { pts_us: index * 10_000, published_us: 0, lift: Default::default(), sh: vec![Vec3::ONE; SH9], lights: vec![] };
-        lights.send(Arrival::Light(ReceivedLight { light, arrived: clock.now() })).unwrap();
-    }
     let feeder = std::thread::spawn(move || {
-        // The arrivals' sender lives as long as the pictures'.
-        let _lights = lights;
-        let again = std::iter::repeat_n(count - 1, if endless { usize::MAX } else { 0 });
-        for index in (0..count).chain(again) {
-            if pictures.send(picture(index, clock)).is_err() {
+        for index in 0..count {
+            let light =
+                LightFrame { pts_us: index * 10_000, published_us: 0, lift: Default::default(), sh: vec![Vec3::ONE; SH9], lights: vec![] };
+            let light = Arrival::Light(ReceivedLight { light, arrived: clock.now() });
+            if lights.send(light).is_err() || pictures.send(picture(index, clock)).is_err() {
                 return;
             }
         }
@@ -154,7 +146,7 @@ fn the_last_picture_is_in_the_snapshot_and_every_frame_in_the_csv() {
     let (snapshot, csv) = (folder.path().join("out.png"), folder.path().join("stats.csv"));
     let (mut frames, feeder) = frame_loop(20, Some(&csv));
     let options = HeadlessOptions { snapshot: Some(snapshot.clone()), record: Some(folder.path().join("out.mp4")), ..options() };
-    let report = run(&mut frames, &options, &mut || Ok(graphics(None)), &mut still).unwrap();
+    let report = run(&mut frames, &options, &mut || Ok(graphics(false)), &mut still).unwrap();
     feeder.join().unwrap();
     assert!(report.frames >= 1);
     let recorded = report.recording.unwrap().unwrap();
@@ -174,42 +166,24 @@ fn a_fixed_pace_repeats_the_picture_and_stops_at_the_count() {
     let (mut frames, feeder) = frame_loop(1, None);
     // The stream must not end before the count is reached.
     let options = HeadlessOptions { frames: Some(1), pace: Pace::Fixed(200.0), ..options() };
-    let report = run(&mut frames, &options, &mut || Ok(graphics(None)), &mut still).unwrap();
+    let report = run(&mut frames, &options, &mut || Ok(graphics(false)), &mut still).unwrap();
     feeder.join().unwrap();
     assert!(report.frames <= 1);
     let wrong = HeadlessOptions { pace: Pace::Fixed(0.0), ..options };
-    assert!(matches!(run(&mut frames, &wrong, &mut || Ok(graphics(None)), &mut still), Err(HeadlessError::Pace(_))));
+    assert!(matches!(run(&mut frames, &wrong, &mut || Ok(graphics(false)), &mut still), Err(HeadlessError::Pace(_))));
 }
 
 #[test]
-fn a_lost_device_is_opened_anew_a_few_times() {
-    let (mut frames, feeder) = endless_frame_loop(12);
+fn a_device_that_is_lost_again_and_again_ends_the_run() {
+    let (mut frames, feeder) = endless_frame_loop();
     let options = options();
-    let mut opened = 0;
-    let report = run(
-        &mut frames,
-        &options,
-        &mut || {
-            opened += 1;
-            options.stop.store(opened == 2, Ordering::Relaxed);
-            Ok(graphics((opened == 1).then_some(1)))
-        },
-        &mut still,
-    );
-    drop(frames);
-    feeder.join().unwrap();
-    assert!(report.unwrap().frames >= 1);
-    assert_eq!(opened, 2);
-
-    let (mut frames, feeder) = endless_frame_loop(12);
-    let options = HeadlessOptions { stop: Arc::default(), ..options };
     let mut opened = 0;
     let failed = run(
         &mut frames,
         &options,
         &mut || {
             opened += 1;
-            Ok(graphics(Some(0)))
+            Ok(graphics(true))
         },
         &mut still,
     );
@@ -224,9 +198,9 @@ fn stopping_and_finding_nothing_are_told_apart() {
     let stopped = options();
     stopped.stop.store(true, Ordering::Relaxed);
     let (mut frames, feeder) = frame_loop(1, None);
-    assert_eq!(run(&mut frames, &stopped, &mut || Ok(graphics(None)), &mut still).unwrap().frames, 0);
+    assert_eq!(run(&mut frames, &stopped, &mut || Ok(graphics(false)), &mut still).unwrap().frames, 0);
     let snapshot = HeadlessOptions { snapshot: Some("/nowhere/out.png".into()), ..stopped };
-    assert!(matches!(run(&mut frames, &snapshot, &mut || Ok(graphics(None)), &mut still), Err(HeadlessError::NoPicture)));
+    assert!(matches!(run(&mut frames, &snapshot, &mut || Ok(graphics(false)), &mut still), Err(HeadlessError::NoPicture)));
     let refused = run::<Clear>(&mut frames, &options(), &mut || Err("no adapter".into()), &mut still);
     assert!(refused.unwrap_err().to_string().contains("no adapter"));
     drop(frames);

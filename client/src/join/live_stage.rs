@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use glam::{Vec2, Vec3};
 use mr360_protocol::asset::AssetId;
+use mr360_protocol::light::LightFrame;
 use mr360_protocol::scene::{ApplyError, ObjectId, Scene, SceneMessage, Transform};
 
 use crate::camera::Camera;
@@ -13,7 +14,7 @@ use crate::frame_loop::{BoxError, FrameError, Stage, Target};
 use crate::gpu::Gpu;
 use crate::scene::pick::Ray;
 use crate::stats::PassTime;
-use crate::sync::Paired;
+use crate::sync::{Paired, ReceivedLight};
 use crate::view::{Renderer, View};
 
 /// Farthest point of the ground that the pointer reaches, metres.
@@ -75,7 +76,7 @@ pub struct LiveStage {
     ground_y: f32,
     /// Objects need the light of their picture; without it they are hidden.
     lit: bool,
-    light: Option<mr360_protocol::light::LightFrame>,
+    light: Option<LightFrame>,
     warned: HashMap<ObjectId, String>,
 }
 
@@ -116,15 +117,15 @@ impl Stage for LiveStage {
         Ok(self.renderer.is_some() && self.lit && self.shown != Some(version))
     }
 
-    fn update(&mut self, paired: &Paired) -> Result<(), FrameError> {
+    fn update(&mut self, paired: Paired) -> Result<(), FrameError> {
         let failed = |source: BoxError| FrameError::Failed { action: "uploading a picture", source };
         self.environment.upload(&self.gpu, &paired.picture).map_err(|error| failed(error.into()))?;
         self.lit = paired.light.is_some();
-        if let Some(received) = &paired.light {
+        if let Some(ReceivedLight { light, .. }) = paired.light {
             if let Some((_, renderer)) = &mut self.renderer {
-                renderer.set_light(&received.light);
+                renderer.set_light(&light);
             }
-            self.light = Some(received.light.clone());
+            self.light = Some(light);
         }
         Ok(())
     }

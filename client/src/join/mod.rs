@@ -3,6 +3,8 @@
 mod args;
 mod inbox;
 mod live_stage;
+#[cfg(test)]
+mod tests;
 
 pub use args::{JoinArgs, Mode};
 pub use live_stage::LiveStage;

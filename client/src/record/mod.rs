@@ -40,7 +40,9 @@ pub enum RecordError {
     #[error("recording needs libx264, which this FFmpeg lacks; install an FFmpeg built with it")]
     NoEncoder,
     /// No space left on the device.
-    #[error("{path}: the disk is full; the recording ends here, what was written stays playable. Free some space or choose another place")]
+    #[error(
+        "{path}: the disk is full, there is no space left; the recording ends here, and what it holds stays playable. Free some space or choose another place"
+    )]
     DiskFull {
         /// The file.
         path: String,
@@ -110,12 +112,15 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// Creates the file, with its header.
+    /// Creates the file, with its header. A disk that is full by then ends the recording as one that fills later does.
     ///
     /// # Errors
     /// [`RecordError`] when the file cannot be created or the size not be encoded.
     pub fn start(path: &Path, width: u32, height: u32) -> Result<Self, RecordError> {
-        let mp4 = Mp4::create(path, width, height)?;
+        let mp4 = match Mp4::create(path, width, height) {
+            Err(error) if !matches!(error, RecordError::DiskFull { .. }) => return Err(error),
+            created => created,
+        };
         let (frames, queue) = sync_channel::<RgbaFrame>(QUEUED_FRAMES);
         let (give_back, used) = sync_channel(QUEUED_FRAMES + 2);
         let thread = std::thread::Builder::new()
@@ -177,15 +182,15 @@ impl Drop for Recorder {
     }
 }
 
-fn encode(mut mp4: Mp4, queue: &Receiver<RgbaFrame>, give_back: &SyncSender<Vec<u8>>) -> Result<u64, RecordError> {
-    let result = (|| {
+fn encode(created: Result<Mp4, RecordError>, queue: &Receiver<RgbaFrame>, give_back: &SyncSender<Vec<u8>>) -> Result<u64, RecordError> {
+    let result = created.and_then(|mut mp4| {
         for frame in queue {
             mp4.write(frame.time_us, &frame.texels)?;
             // With the buffer full of buffers, this one is simply freed.
             let _ = give_back.try_send(frame.texels);
         }
         mp4.finish()
-    })();
+    });
     if let Err(error) = &result {
         tracing::error!("recording stopped: {error}");
     }
@@ -291,6 +296,15 @@ mod tests {
             })
             .unwrap_err();
         assert!(matches!(error, RecordError::DiskFull { .. }), "{error}");
+    }
+
+    #[test]
+    fn a_disk_that_is_full_from_the_start_fails_nobody_but_the_recording() {
+        let mut recorder = Recorder::start(Path::new("/dev/full"), 16, 16).unwrap();
+        while !recorder.has_failed() {
+            recorder.push(0, &grey(16, 16, 9)).unwrap();
+        }
+        assert!(matches!(recorder.finish(), Err(RecordError::DiskFull { .. })));
     }
 
     #[test]

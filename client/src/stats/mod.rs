@@ -135,7 +135,14 @@ impl Stats {
     pub fn counted(&mut self, drops: Drops, decode: Option<&DecodeCounters>) {
         self.drops = drops;
         if let Some(decode) = decode {
-            self.decode = [decode.units(), decode.pictures(), decode.errors(), decode.unanchored(), decode.backlog(), decode.superseded()];
+            self.decode = [
+                decode.units.get(),
+                decode.pictures.get(),
+                decode.errors.get(),
+                decode.unanchored.get(),
+                decode.backlog.get(),
+                decode.superseded.get(),
+            ];
         }
     }
 

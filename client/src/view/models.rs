@@ -122,8 +122,13 @@ impl Models {
 }
 
 fn part(gpu: &Gpu, mesh: &Mesh, surface: Surface, material: wgpu::BindGroup) -> GpuPart {
-    let buffer =
-        |label, contents, usage| gpu.device.create_buffer_init(&wgpu::util::BufferInitDescriptor { label: Some(label), contents, usage });
+    // Not mapped to be filled, which panics where the device has just been lost.
+    let buffer = |label, contents: &[u8], usage| {
+        let (size, usage) = (contents.len() as u64, usage | wgpu::BufferUsages::COPY_DST);
+        let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false });
+        gpu.queue.write_buffer(&buffer, 0, contents);
+        buffer
+    };
     GpuPart {
         vertices: buffer("vertices", bytemuck::cast_slice(&mesh.vertices), wgpu::BufferUsages::VERTEX),
         indices: buffer("indices", bytemuck::cast_slice(&mesh.indices), wgpu::BufferUsages::INDEX),

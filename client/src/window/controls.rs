@@ -177,7 +177,7 @@ mod tests {
         fn prepare(&mut self) -> Result<bool, FrameError> {
             Ok(false)
         }
-        fn update(&mut self, _paired: &Paired) -> Result<(), FrameError> {
+        fn update(&mut self, _paired: Paired) -> Result<(), FrameError> {
             Ok(())
         }
         fn draw(&mut self, _camera: &Camera, _target: &Target) -> Result<Vec<PassTime>, FrameError> {

@@ -1,10 +1,14 @@
 //! Benches of MR360 live: CSV, SVG charts and a Markdown summary in one folder.
 
-use std::path::PathBuf;
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand};
-use mr360_tests::network;
+use mr360_tests::{lighting, network, render};
+
+/// The demo's scene.
+const SCENE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../deploy/demo-scene/SCENE.toml");
 
 /// Measures MR360 live from outside and writes tables and charts.
 #[derive(Parser)]
@@ -16,10 +20,53 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Bench {
+    /// Light and decoding of large frames: time of every step, share of one core.
+    Lighting(Lighting),
+    /// The demo's scene in a viewer beside its server: first picture, frame rate, time of every pass, age of light.
+    Render(Render),
     /// One server and N headless viewers: age of light and video, the server's CPU and memory, bytes per track.
     Network(Network),
-    /// Every bench.
-    All(Network),
+    /// Every bench, with its defaults.
+    All {
+        /// Folder for the results; made where it is missing.
+        #[arg(long, value_name = "DIR")]
+        out: PathBuf,
+    },
+}
+
+#[derive(Args)]
+struct Lighting {
+    /// Folder for the results; made where it is missing.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Size of the frames.
+    #[arg(long, default_value = "3840x1920", value_name = "WxH", value_parser = parse_size)]
+    size: (u32, u32),
+    /// Frames measured.
+    #[arg(long, default_value_t = 150, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    frames: u32,
+    /// Light method.
+    #[arg(long, default_value = "directional", value_name = "NAME")]
+    method: String,
+}
+
+#[derive(Args)]
+struct Render {
+    /// Folder for the results; made where it is missing.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// What the server broadcasts.
+    #[arg(long, default_value = "synthetic:plaza?size=1280x640", value_name = "URL|FILE|synthetic:NAME")]
+    source: String,
+    /// What stands in it.
+    #[arg(long, default_value = SCENE, hide_default_value = true, value_name = "SCENE.toml")]
+    scene: PathBuf,
+    /// Size of the viewers' pictures.
+    #[arg(long, default_value = "640x360", value_name = "WxH")]
+    size: String,
+    /// Frames that each viewer presents.
+    #[arg(long, default_value_t = 300, value_name = "N", value_parser = clap::value_parser!(u32).range(61..=100_000))]
+    frames: u32,
 }
 
 #[derive(Args)]
@@ -41,14 +88,48 @@ struct Network {
     size: String,
 }
 
+fn parse_size(text: &str) -> Result<(u32, u32), String> {
+    let side = |text: &str| text.parse().ok().filter(|side| (2..=8192).contains(side) && side % 2 == 0);
+    let size = text.split_once('x').and_then(|(width, height)| Some((side(width)?, side(height)?)));
+    size.ok_or_else(|| "a size is WIDTHxHEIGHT, both even, from 2 to 8192".to_owned())
+}
+
+fn run(bench: Bench) -> anyhow::Result<()> {
+    match bench {
+        Bench::Lighting(Lighting { out, size, frames, method }) => lighting::run(&lighting::Options { size, frames, method, out }),
+        Bench::Render(Render { out, source, scene, size, frames }) => render::run(&render::Options { source, scene, size, frames, out }),
+        Bench::Network(Network { out, viewers, seconds, source, size }) => {
+            network::run(&network::Options { viewers, seconds, source, size, out })
+        }
+        Bench::All { out } => ["lighting", "render", "network"].iter().try_for_each(|name| run(with_defaults(name, &out)?)),
+    }
+}
+
+/// A bench as its bare command line makes it.
+fn with_defaults(name: &str, out: &Path) -> anyhow::Result<Bench> {
+    let line = [OsStr::new("mr360-bench"), OsStr::new(name), OsStr::new("--out"), out.as_os_str()];
+    Ok(Cli::try_parse_from(line)?.bench)
+}
+
 fn main() -> ExitCode {
-    let (Bench::Network(Network { out, viewers, seconds, source, size }) | Bench::All(Network { out, viewers, seconds, source, size })) =
-        Cli::parse().bench;
-    match network::run(&network::Options { viewers, seconds, source, size, out }) {
+    match run(Cli::parse().bench) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {error:#}");
             ExitCode::FAILURE
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_bench_runs_with_its_defaults() {
+        for name in ["lighting", "render", "network"] {
+            assert!(with_defaults(name, Path::new("results")).is_ok(), "{name}");
+        }
+        assert!(parse_size("3841x1920").is_err() && parse_size("3840").is_err());
     }
 }
