@@ -29,12 +29,12 @@ impl LightSum {
     }
 
     /// Luminance of the irradiance.
-    pub(super) fn strength(&self) -> f64 {
+    fn strength(&self) -> f64 {
         self.irradiance.dot(LUMA.as_dvec3())
     }
 
     /// Mean direction of the light, or `otherwise` where it comes from all around alike.
-    pub(super) fn direction(&self, otherwise: Vec3) -> Vec3 {
+    fn direction(&self, otherwise: Vec3) -> Vec3 {
         if self.moment.length() <= LEAST_MEAN_DIRECTION * self.strength() { otherwise } else { self.moment.normalize().as_vec3() }
     }
 

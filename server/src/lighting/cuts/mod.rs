@@ -231,7 +231,7 @@ mod tests {
         // A region gives Σ w max(0, d·n), its light W max(0, c·n), c = M/|M|, with W = Σ w and M = Σ w d. As max(0, x) is
         // convex, Σ w max(0, d·n) ≥ max(0, M·n); as it is (x + |x|)/2 and Σ w |x| ≤ √(W Σ w x²), it is at most
         // (M·n + √(W Σ w (d·n)²))/2. The light exceeds max(0, M·n) by (W − |M|) max(0, c·n).
-        for (rule, count, worst) in RULES.into_iter().flat_map(|rule| [(rule, 4, 0.9), (rule, 16, 0.4), (rule, 64, 0.2)]) {
+        for (rule, count, worst) in RULES.into_iter().flat_map(|rule| [(rule, 4, 0.9), (rule, 16, 0.2), (rule, 64, 0.03)]) {
             let cuts = seen(rule, count, Vec3::ONE, &[]);
             let truth = f64::from(std::f32::consts::PI);
             for normal in normals(100) {
@@ -246,7 +246,6 @@ mod tests {
                 }
                 let error = f64::from(irradiance(&cuts.estimate, normal).y) - truth;
                 assert!(error <= above + 1e-3 && -error <= below + 1e-3, "{rule:?}:{count} {normal}: {error}, {above}, {below}");
-                println!("{rule:?}:{count} {error}");
                 assert!(error.abs() < worst * truth, "{rule:?}:{count} {normal}: {error}");
             }
         }

@@ -188,10 +188,25 @@ mod tests {
         let mut clusters = Clusters::new(8, 5);
         clusters.find(&directions(&[Vec3::X, Vec3::X, Vec3::X, Vec3::Y]), 5);
         assert_eq!(clusters.centres.len(), 2);
+        // Less than a texel away is the same direction.
+        clusters.find(&directions(&[Vec3::new(1.0, 0.0, 1e-4), Vec3::Y]), 5);
+        assert_eq!(clusters.centres.len(), 2);
         clusters.find(&Directions::default(), 5);
         assert_eq!(clusters.centres.len(), 0);
         clusters.find(&directions(&[Vec3::Z]), 5);
         assert_eq!(clusters.centres.len(), 1);
+    }
+
+    #[test]
+    fn poor_seeds_do_not_last() {
+        let at = |angle: f32| Vec3::new(angle.sin(), 0.0, -angle.cos());
+        let mut clusters = Clusters::new(101, 2);
+        clusters.find(&directions(&[at(0.0), at(0.1)]), 2);
+        // Along an arc of 1, the border between two clusters goes half of the way to the middle in every round.
+        clusters.find(&directions(&(0..=100).map(|i| at(i as f32 / 100.0)).collect::<Vec<_>>()), 2);
+        for middle in [0.25, 0.75] {
+            assert!(clusters.centres.iter().any(|centre| centre.direction.distance(at(middle)) < 0.02), "{:?}", clusters.centres);
+        }
     }
 
     #[test]

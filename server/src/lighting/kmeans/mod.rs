@@ -54,7 +54,7 @@ impl KMeans {
         }
     }
 
-    /// Adds up the direct texels of every cluster. The clusters' centres become those of their light.
+    /// Adds up the direct texels of every cluster.
     fn find_lights(&mut self) {
         let Self { direct, clusters, labels, sums, estimate, .. } = self;
         assign(&direct.directions, &clusters.centres, labels);
@@ -66,10 +66,8 @@ impl KMeans {
             }
         }
         estimate.lights.clear();
-        for (sum, centre) in sums.iter().zip(&mut clusters.centres) {
-            centre.direction = sum.direction(centre.direction);
-            estimate.lights.extend(sum.light(centre.id, centre.direction));
-        }
+        let lights = sums.iter().zip(&clusters.centres).filter_map(|(sum, centre)| sum.light(centre.id, centre.direction));
+        estimate.lights.extend(lights);
         rank(&mut estimate.lights);
     }
 }
