@@ -6,14 +6,13 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
-use clap::builder::PossibleValuesParser;
 use clap::{Args, ValueEnum};
 use mr360_protocol::video::StereoLayout;
 use serde::ser::{Serialize, SerializeMap, Serializer};
 
 use crate::frame::Frame;
 use crate::image_file;
-use crate::lighting::{self, DEFAULT_METHOD, Estimate, LightMethod, METHODS, StepTimes};
+use crate::lighting::{Estimate, LightMethod, MethodSpec, StepTimes};
 
 /// Stereo layout as the command line names it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, serde::Deserialize)]
@@ -43,8 +42,8 @@ pub struct AnalyzeArgs {
     /// A panorama (.exr and .hdr linear, .png and .jpg sRGB), a video file or a stream's URL.
     pub source: String,
     /// Light method.
-    #[arg(long, default_value = DEFAULT_METHOD, value_parser = PossibleValuesParser::new(METHODS))]
-    pub method: String,
+    #[arg(long, value_name = "NAME[:N]", default_value_t, help = format!("Light method: {}", MethodSpec::usage()))]
+    pub method: MethodSpec,
     /// Stop after this many frames.
     #[arg(long, value_name = "N")]
     pub frames: Option<u64>,
@@ -66,7 +65,7 @@ where
     E: Into<anyhow::Error>,
     I: IntoIterator<Item = Result<Frame, E>>,
 {
-    let mut method = lighting::method(&args.method)?;
+    let mut method = args.method.make();
     let out = io::BufWriter::new(io::stdout().lock());
     let path = Path::new(&args.source);
     if image_file::is_image(path) && !args.source.contains("://") {
@@ -88,18 +87,18 @@ pub fn analyze<E: Into<anyhow::Error>>(
     mut out: impl Write,
 ) -> Result<()> {
     let mut steps = StepTimes::default();
+    let name = method.name().to_owned();
     let limit = args.frames.map_or(usize::MAX, |frames| usize::try_from(frames).unwrap_or(usize::MAX));
     for frame in frames.into_iter().take(limit) {
         let mut frame = frame.map_err(Into::into)?;
         if let Some(stereo) = args.stereo {
             frame.stereo = stereo.into();
         }
-        let name = method.name();
         steps.clear();
         let started = Instant::now();
         let estimate = method.estimate(&frame, &mut steps).with_context(|| args.source.clone())?;
         let total = started.elapsed();
-        let line = Line { pts_us: frame.pts_us, method: name, estimate, total, steps: &steps };
+        let line = Line { pts_us: frame.pts_us, method: &name, estimate, total, steps: &steps };
         let written = if args.json { line.write_json(&mut out) } else { writeln!(out, "{line}") };
         match written.and_then(|()| out.flush()) {
             Err(error) if error.kind() == ErrorKind::BrokenPipe => return Ok(()),
@@ -200,7 +199,7 @@ mod tests {
     use mr360_protocol::video::Transfer;
 
     fn args(json: bool, frames: Option<u64>) -> AnalyzeArgs {
-        AnalyzeArgs { source: "test".to_owned(), method: DEFAULT_METHOD.to_owned(), frames, json, stereo: None }
+        AnalyzeArgs { source: "test".to_owned(), method: MethodSpec::default(), frames, json, stereo: None }
     }
 
     /// A dark sky with a bright spot in the middle of the right upper quarter.
@@ -214,7 +213,7 @@ mod tests {
 
     fn lines(args: &AnalyzeArgs) -> Vec<String> {
         let mut out = Vec::new();
-        analyze(args, lighting::method(&args.method).unwrap().as_mut(), frames(), &mut out).unwrap();
+        analyze(args, args.method.make().as_mut(), frames(), &mut out).unwrap();
         String::from_utf8(out).unwrap().lines().map(str::to_owned).collect()
     }
 
@@ -224,7 +223,7 @@ mod tests {
         assert_eq!(lines.len(), 3);
         let object: serde_json::Value = serde_json::from_str(&lines[2]).unwrap();
         assert_eq!(object["pts_secs"], 0.08);
-        assert_eq!(object["method"], DEFAULT_METHOD);
+        assert_eq!(object["method"], "directional");
         assert_eq!(object["sh"].as_array().unwrap().len(), 9);
         assert_eq!(object["sh"][0].as_array().unwrap().len(), 3);
         let light = &object["lights"][0];
@@ -255,7 +254,7 @@ mod tests {
             }
         }
         for json in [true, false] {
-            let mut method = lighting::method(DEFAULT_METHOD).unwrap();
+            let mut method = MethodSpec::default().make();
             let mut run = |kind| analyze(&args(json, None), method.as_mut(), frames(), Broken(kind));
             assert!(run(ErrorKind::BrokenPipe).is_ok());
             assert!(run(ErrorKind::StorageFull).is_err());
@@ -265,7 +264,7 @@ mod tests {
     #[test]
     fn a_frame_that_cannot_be_decoded_is_an_error() {
         let failing = [Err(anyhow::anyhow!("broken packet"))];
-        let mut method = lighting::method(DEFAULT_METHOD).unwrap();
+        let mut method = MethodSpec::default().make();
         let error = analyze(&args(true, None), method.as_mut(), failing, Vec::new()).unwrap_err();
         assert!(error.to_string().contains("broken packet"));
     }

@@ -1,7 +1,8 @@
 //! The light of a frame: a few directional lights and the spherical harmonics of the rest.
 //!
-//! Every method goes the same way: a small linear working panorama (the lift applied), a threshold, regions,
-//! lights taken out of the panorama, SH of what is left. Lights plus SH hold the panorama's energy.
+//! Every method begins with a small linear working panorama, the lift applied. Some take lights out of it and leave the
+//! rest to SH, some know only lights or only SH: lights plus SH hold the panorama's energy in any case. [`MethodSpec`]
+//! names them all.
 
 use glam::Vec3;
 use mr360_protocol::light::{DirectionalLight, Lift, SH9};
@@ -11,9 +12,14 @@ use crate::frame::Frame;
 mod candidates;
 #[cfg(test)]
 mod closed_forms;
+mod cuts;
 mod directional;
+#[cfg(test)]
+mod every_method;
 mod harmonics;
 mod iorns;
+mod kmeans;
+mod light_sum;
 mod mr360;
 mod panorama;
 #[cfg(test)]
@@ -22,23 +28,32 @@ mod radiance;
 mod recovery;
 mod regions;
 mod sampling;
+mod series;
+mod spec;
+mod spherical;
 mod steps;
+#[cfg(test)]
+mod test_skies;
 
 pub use directional::{Directional, MOST_LIGHTS};
 pub use iorns::Iorns;
 pub use mr360::Mr360;
+pub use spec::{MethodError, MethodSpec};
 pub use steps::StepTimes;
 
 use panorama::Panorama;
+
+/// BT.709 luminance of linear radiance.
+const LUMA: Vec3 = Vec3::new(0.2126, 0.7152, 0.0722);
 
 /// Light of one frame, before it has a time.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Estimate {
     /// The lift that was applied: the method's own, or none where the frame was true HDR.
     pub lift: Lift,
-    /// Radiance outside the lights, real SH, 9 coefficients, not convolved.
+    /// Radiance outside the lights, real SH, 9 or 25 coefficients, not convolved.
     pub sh: Vec<Vec3>,
-    /// Strongest first; `id` is the rank in this frame.
+    /// Strongest first; `id` is the rank in this frame, or stays with the light where the method follows it.
     pub lights: Vec<DirectionalLight>,
     /// Source values that were not finite, negative or too large to be light and were mended.
     pub mended: u64,
@@ -49,8 +64,13 @@ impl Estimate {
     fn project(&mut self, panorama: &Panorama, projection: fn(&Panorama, &mut [Vec3; SH9])) {
         let mut sh = [Vec3::ZERO; SH9];
         projection(panorama, &mut sh);
+        self.take_over(panorama, &sh);
+    }
+
+    /// Takes over these coefficients and what the panorama knows of its frame.
+    fn take_over(&mut self, panorama: &Panorama, sh: &[Vec3]) {
         self.sh.clear();
-        self.sh.extend_from_slice(&sh);
+        self.sh.extend_from_slice(sh);
         self.lift = panorama.lift();
         self.mended = panorama.mended;
     }
@@ -96,8 +116,8 @@ pub enum LightError {
 /// A way to find the light of a frame. Methods keep their buffers: frames after the first of a size and colour
 /// are estimated without allocating.
 pub trait LightMethod: Send {
-    /// The name that selects the method.
-    fn name(&self) -> &'static str;
+    /// What selects the method, parameter included: its [`MethodSpec`] in words.
+    fn name(&self) -> &str;
 
     /// How the method lifts LDR video; HDR video is used as it is, see [`Estimate::lift`].
     fn lift(&self) -> Lift;
@@ -107,47 +127,4 @@ pub trait LightMethod: Send {
     /// # Errors
     /// [`LightError`] for a frame that cannot be read; the next frame may be fine.
     fn estimate(&mut self, frame: &Frame, steps: &mut StepTimes) -> Result<&Estimate, LightError>;
-}
-
-/// Names of all methods.
-pub const METHODS: [&str; 3] = ["directional", "mr360", "iorns"];
-/// The method that runs unless another is asked for.
-pub const DEFAULT_METHOD: &str = "directional";
-
-/// No method of that name.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("light method {name:?} is unknown; use one of {}", METHODS.join(", "))]
-pub struct UnknownMethod {
-    /// The name that was asked for.
-    pub name: String,
-}
-
-/// Makes the method of this name.
-///
-/// # Errors
-/// [`UnknownMethod`], which lists the names.
-pub fn method(name: &str) -> Result<Box<dyn LightMethod>, UnknownMethod> {
-    match name {
-        "directional" => Ok(Box::new(Directional::default())),
-        "mr360" => Ok(Box::new(Mr360::default())),
-        "iorns" => Ok(Box::new(Iorns::default())),
-        _ => Err(UnknownMethod { name: name.to_owned() }),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn every_listed_method_exists_under_its_name() {
-        for name in METHODS {
-            assert_eq!(method(name).unwrap().name(), name);
-        }
-        assert!(METHODS.contains(&DEFAULT_METHOD));
-        let lifts = METHODS.map(|name| method(name).unwrap().lift());
-        assert_eq!(lifts, [Lift::Highlights, Lift::InverseToneMap, Lift::InverseToneMap]);
-        let error = method("magic").err().unwrap().to_string();
-        assert!(METHODS.iter().all(|name| error.contains(name)), "{error}");
-    }
 }

@@ -5,14 +5,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use clap::Args;
-use clap::builder::PossibleValuesParser;
 use mr360_protocol::join::{DEFAULT_ROOM, JoinUrl};
 use mr360_protocol::track::{MAX_ROOM_CHARS, is_valid_room};
 use serde::Deserialize;
 
 use crate::analyze::StereoArg;
 use crate::ingest::{IngestConfig, Projection, Source};
-use crate::lighting::{DEFAULT_METHOD, METHODS};
+use crate::lighting::MethodSpec;
 
 /// Default address: every interface, the port that MoQ relays use.
 const DEFAULT_LISTEN: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(std::net::Ipv4Addr::UNSPECIFIED), 4443);
@@ -45,9 +44,9 @@ pub struct ServeArgs {
     /// Publish to a MoQ relay; add #sha256=FINGERPRINT for a self-signed one.
     #[arg(long, value_name = "RELAY_URL")]
     pub publish: Option<String>,
-    /// Light method [default: directional].
-    #[arg(long, value_parser = PossibleValuesParser::new(METHODS))]
-    pub method: Option<String>,
+    /// Light method.
+    #[arg(long, value_name = "NAME[:N]", help = format!("Light method: {} [default: {}]", MethodSpec::usage(), MethodSpec::default()))]
+    pub method: Option<MethodSpec>,
     /// Where the eyes' views lie [default: what the source says].
     #[arg(long, value_enum)]
     pub stereo: Option<StereoArg>,
@@ -83,7 +82,7 @@ pub(super) struct Settings {
     pub(super) host: Option<String>,
     pub(super) room: String,
     pub(super) publish: Option<JoinUrl>,
-    pub(super) method: String,
+    pub(super) method: MethodSpec,
     pub(super) certificate: Option<(PathBuf, PathBuf)>,
     pub(super) state: PathBuf,
     pub(super) stats: Option<PathBuf>,
@@ -103,7 +102,6 @@ impl ServeArgs {
         if !is_valid_room(&room) {
             bail!("--room {room:?}: not 1 to {MAX_ROOM_CHARS} of a-z A-Z 0-9 - _");
         }
-        let method = merged.method.unwrap_or_else(|| DEFAULT_METHOD.to_owned());
         let publish = merged.publish.map(|url| url.parse::<JoinUrl>()).transpose().context("--publish")?;
         let certificate = match (merged.certificate, merged.key) {
             (Some(chain), Some(key)) => Some((chain, key)),
@@ -124,7 +122,7 @@ impl ServeArgs {
             host: merged.host,
             room,
             publish,
-            method,
+            method: merged.method.unwrap_or_default(),
             certificate,
             state: match merged.state {
                 Some(folder) => folder,
@@ -186,10 +184,12 @@ mod tests {
     fn flags_win_over_the_file() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("serve.toml");
-        std::fs::write(&file, "source = \"synthetic:plaza\"\nroom = \"hall\"\nloop = true\nstereo = \"top-bottom\"").unwrap();
+        std::fs::write(&file, "source = \"synthetic:plaza\"\nroom = \"hall\"\nloop = true\nstereo = \"top-bottom\"\nmethod = \"sh:25\"")
+            .unwrap();
         let settings = settle(ServeArgs { config: Some(file), room: Some("stage".to_owned()), ..ServeArgs::default() }).unwrap();
         assert_eq!(settings.room, "stage");
         assert!(settings.ingest.looped);
+        assert_eq!(settings.method.to_string(), "sh:25");
         assert_eq!(settings.ingest.stereo, Some(mr360_protocol::video::StereoLayout::TopBottom));
     }
 
@@ -198,12 +198,15 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("serve.toml");
         std::fs::write(&file, "sauce = 1").unwrap();
+        let method = folder.path().join("method.toml");
+        std::fs::write(&method, "method = \"k-means:65\"").unwrap();
         let cases = [
             (ServeArgs::default(), "no source"),
             (ServeArgs { room: Some("a/b".to_owned()), ..plaza() }, "--room"),
             (ServeArgs { publish: Some("relay".to_owned()), ..plaza() }, "--publish"),
             (ServeArgs { key: Some("k.pem".into()), ..plaza() }, "belong together"),
             (ServeArgs { config: Some(file), ..plaza() }, "sauce"),
+            (ServeArgs { config: Some(method), ..plaza() }, "k-means[:1-64]"),
             (ServeArgs { config: Some("/nowhere.toml".into()), ..plaza() }, "/nowhere.toml"),
             (ServeArgs { source: Some("/nowhere.mp4".to_owned()), ..ServeArgs::default() }, "/nowhere.mp4"),
         ];

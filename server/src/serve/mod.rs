@@ -16,7 +16,6 @@ use mr360_protocol::transport;
 
 use crate::broadcast::{Assets, Broadcast};
 use crate::ingest::{self, IngestHandle, ServerClock};
-use crate::lighting;
 use crate::session;
 use crate::stats::Stats;
 use args::Settings;
@@ -63,7 +62,7 @@ async fn start(args: ServeArgs) -> anyhow::Result<OnAir> {
     let (scene, assets) = load_scene(&settings)?;
 
     let origin = transport::origin();
-    let method = lighting::method(&settings.method)?;
+    let method = settings.method.make();
     let mut broadcast = Broadcast::create(&origin, &settings.room, method.name())?;
     broadcast.publish_assets(&assets)?;
     let session = tokio::spawn(session::run(scene, broadcast.scene()?, origin.consume(), settings.room.clone()));
