@@ -83,14 +83,14 @@ pub enum DecodeError {
         detail: String,
     },
     /// FFmpeg failed.
-    #[error("{codec} decoder: {action} failed ({source})")]
+    #[error("{codec} decoder: {action} failed ({fault})")]
     Ffmpeg {
         /// The codec.
         codec: Codec,
         /// What was tried.
         action: &'static str,
         /// FFmpeg's error.
-        source: ffmpeg::Error,
+        fault: ffmpeg::Error,
     },
 }
 
@@ -124,7 +124,7 @@ pub(super) fn open(format: &VideoFormat, hardware: Hardware) -> Result<Opened, D
         },
     };
     let software = find(codec)?;
-    let decoder = open_with(software, None).map_err(|source| DecodeError::Ffmpeg { codec, action: "opening", source })?;
+    let decoder = open_with(software, None).map_err(|fault| DecodeError::Ffmpeg { codec, action: "opening", fault })?;
     tracing::info!(%codec, decoder = software.name(), reason = why_not, "video is decoded in software");
     Ok(Opened { decoder, on_gpu: false })
 }

@@ -4,12 +4,14 @@
 //! as [`Event`]s on one bounded channel: a client that does not drain it holds up its own subscriptions alone,
 //! and the transport then drops its stale groups.
 
+mod asset_cache;
 mod assets;
 mod follow;
 mod media;
 mod user;
 
-pub use assets::{AssetCache, AssetError};
+pub use asset_cache::AssetCache;
+pub use assets::AssetError;
 pub use user::User;
 
 use bytes::Bytes;
@@ -23,6 +25,7 @@ use tokio::sync::mpsc;
 
 use crate::audio::AudioFormat;
 use crate::decode::{AccessUnit, VideoFormat};
+use crate::scene::model::LoadedModel;
 use crate::sync::ClientClock;
 
 /// Events waiting to be taken: three seconds of a busy broadcast.
@@ -61,9 +64,16 @@ pub enum Event {
     },
     /// A snapshot or delta of the scene.
     Scene(SceneMessage),
-    /// A model that the scene names, verified.
-    Asset(AssetId, Bytes),
-    /// A model that could not be had; its object is left out.
+    /// A model that the scene names, verified and read.
+    Asset {
+        /// Its name.
+        id: AssetId,
+        /// Its size, bytes.
+        bytes: usize,
+        /// The model, or why it cannot be drawn.
+        model: LoadedModel,
+    },
+    /// A model that could not be had yet; its objects are left out until it comes.
     AssetFailed(AssetId, AssetError),
     /// A message that was refused; the session goes on.
     Refused(String),
