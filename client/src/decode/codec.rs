@@ -161,3 +161,17 @@ fn open_with(decoder: ffmpeg::Codec, device: Option<Device>) -> Result<ffmpeg::d
     decoder_context.set_packet_time_base((1, 1_000_000));
     decoder_context.open_as_with(decoder, options)?.video()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_names_its_cause_once() {
+        let fault = ffmpeg::Error::InvalidData;
+        let error = DecodeError::Ffmpeg { codec: Codec::H264, action: "decoding", fault };
+        // As a program prints it, with all causes.
+        let text = format!("{:#}", anyhow::Error::from(error));
+        assert_eq!(text.matches(&fault.to_string()).count(), 1, "{text}");
+    }
+}

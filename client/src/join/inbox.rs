@@ -82,39 +82,30 @@ impl Inbox {
     }
 
     fn take(&mut self, event: Event) -> Result<(), ReceiveError> {
+        self.standing.hear(&event);
         match event {
-            Event::Link(LinkEvent::Up(version)) => {
-                tracing::info!(version, "connected");
-                self.standing.set("the server answered, but nothing of the room came; run longer, and check the room's name");
-            }
-            Event::Link(LinkEvent::Down { fault, retry_in }) => {
-                tracing::warn!(%fault, ?retry_in, "connection lost; trying again");
-                self.standing.set(format!("{fault}; is the server running, and can it be reached over UDP?"));
-            }
+            Event::Link(LinkEvent::Up(version)) => tracing::info!(version, "connected"),
+            Event::Link(LinkEvent::Down { fault, retry_in }) => tracing::warn!(%fault, ?retry_in, "connection lost; trying again"),
             Event::Joined => {
                 tracing::info!("joined the room");
-                self.standing.set("the room was found, but no video came; the log says if its catalog is damaged");
                 self.arrivals.send(Arrival::NewBroadcast);
             }
-            Event::AwaitingSource => {
-                tracing::info!("the room is open; its source has not come yet");
-                self.standing.set("the room is open, but its source has not come; ask the host");
-            }
+            Event::AwaitingSource => tracing::info!("the room is open; its source has not come yet"),
             Event::Video(format) => {
                 tracing::info!(?format, "video");
                 if let Err(error) = self.decoder.set_format(format) {
                     tracing::error!("{error}");
-                    self.standing.set(error.to_string());
+                    self.standing.cannot_decode(&error);
                 }
             }
             Event::Unit(unit) => {
                 if std::mem::take(&mut self.first_unit) {
-                    self.standing.set("video came, but no picture and light that belong together; the summary counts what became of both");
                     tracing::info!("first frame received after {} ms", self.started.elapsed().as_millis());
                 }
                 self.count(Track::Video, unit.data.len());
-                if let Err(error) = self.decoder.push(unit) {
-                    tracing::debug!(%error, "access unit refused");
+                match self.decoder.push(unit) {
+                    Ok(()) => self.standing.video_came(),
+                    Err(error) => tracing::debug!(%error, "access unit refused"),
                 }
             }
             Event::Audio(format) => self.open_sound(format.as_ref()),
