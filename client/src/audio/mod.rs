@@ -203,10 +203,9 @@ mod tests {
         assert!(wrong(|f| f.sample_rate = 0).contains("sample rate"));
         assert!(wrong(|f| f.channels = 9).contains("channels"));
         assert!(wrong(|f| f.description = Some(Bytes::from(vec![0; 70_000]))).contains("description"));
-        // As a program prints it, with all causes: FFmpeg's word stands there once.
-        let error = AudioError::Ffmpeg { codec: AudioCodec::Aac, fault: ffmpeg_next::Error::InvalidData };
-        let text = format!("{:#}", anyhow::Error::from(error));
-        assert_eq!(text.matches(&ffmpeg_next::Error::InvalidData.to_string()).count(), 1, "{text}");
+        // FFmpeg's word stands in the text; with all causes, as programs print errors, it would stand there again.
+        let error = AudioError::Ffmpeg { codec: AudioCodec::Aac, fault: ffmpeg_next::Error::Eof };
+        assert!(std::error::Error::source(&error).is_none());
     }
 
     #[test]

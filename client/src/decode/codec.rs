@@ -168,10 +168,8 @@ mod tests {
 
     #[test]
     fn an_error_names_its_cause_once() {
-        let fault = ffmpeg::Error::InvalidData;
-        let error = DecodeError::Ffmpeg { codec: Codec::H264, action: "decoding", fault };
-        // As a program prints it, with all causes.
-        let text = format!("{:#}", anyhow::Error::from(error));
-        assert_eq!(text.matches(&fault.to_string()).count(), 1, "{text}");
+        let error = DecodeError::Ffmpeg { codec: Codec::H264, action: "decoding", fault: ffmpeg::Error::Eof };
+        // In its text; with all causes, as programs print errors, it would stand there again.
+        assert!(std::error::Error::source(&error).is_none());
     }
 }
