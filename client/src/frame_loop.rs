@@ -35,7 +35,7 @@ pub enum FrameError {
         detail: String,
     },
     /// Anything else.
-    #[error("{action} failed ({source})")]
+    #[error("{action} failed")]
     Failed {
         /// What was tried.
         action: &'static str,

@@ -24,6 +24,16 @@ pub enum GpuError {
     /// The device went away while waiting for it.
     #[error("the GPU did not finish: {0}; the device has to be made anew")]
     Lost(String),
+    /// More than the device can do, or has memory for.
+    #[error("this GPU cannot draw a picture of {width}×{height} pixels; choose a smaller --size ({fault})")]
+    Refused {
+        /// Columns.
+        width: u32,
+        /// Rows.
+        height: u32,
+        /// The driver's word.
+        fault: String,
+    },
     /// A shader module with an import that is missing from the build.
     #[error(transparent)]
     Shader(#[from] mr360_shaders::source::ImportError),
@@ -41,6 +51,9 @@ pub struct Gpu {
     pub queue: wgpu::Queue,
     lost: Arc<AtomicBool>,
 }
+
+/// Most bytes of a texture that are on their way back at once: textures may be larger than any buffer.
+const READ_BACK_BYTES: u64 = 64 * 1024 * 1024;
 
 /// Features that are used where the device has them.
 const WANTED: wgpu::Features = wgpu::Features::TIMESTAMP_QUERY.union(wgpu::Features::TEXTURE_FORMAT_16BIT_NORM);
@@ -146,29 +159,38 @@ impl Gpu {
     /// # Errors
     /// [`GpuError::Lost`] when the device went away.
     pub fn read_texture(&self, texture: &wgpu::Texture) -> Result<Vec<u8>, GpuError> {
+        self.read_bands(texture, READ_BACK_BYTES.min(self.device.limits().max_buffer_size))
+    }
+
+    /// As [`Gpu::read_texture`], as many rows at a time as fit `band_bytes`, one at least.
+    fn read_bands(&self, texture: &wgpu::Texture, band_bytes: u64) -> Result<Vec<u8>, GpuError> {
         let (width, height) = (texture.width(), texture.height());
-        let texel = texture.format().block_copy_size(None).unwrap_or(4);
-        let row = width * texel;
+        let row = width * texture.format().block_copy_size(None).unwrap_or(4);
         let padded = row.next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
+        let rows = u32::try_from(band_bytes / u64::from(padded.max(1))).unwrap_or(u32::MAX).clamp(1, height);
         let buffer = self.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("read back"),
-            size: u64::from(padded) * u64::from(height),
+            size: u64::from(padded) * u64::from(rows),
             usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
             mapped_at_creation: false,
         });
-        let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        encoder.copy_texture_to_buffer(
-            texture.as_image_copy(),
-            wgpu::TexelCopyBufferInfo {
-                buffer: &buffer,
-                layout: wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(padded), rows_per_image: None },
-            },
-            wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
-        );
-        self.queue.submit([encoder.finish()]);
-        let bytes = self.read_buffer(&buffer)?;
-        let rows = bytes.chunks_exact(padded as usize);
-        Ok(rows.flat_map(|padded| padded.iter().take(row as usize).copied()).collect())
+        let mut out = Vec::with_capacity(row as usize * height as usize);
+        for top in (0..height).step_by(rows as usize) {
+            let band = rows.min(height - top);
+            let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+            encoder.copy_texture_to_buffer(
+                wgpu::TexelCopyTextureInfo { origin: wgpu::Origin3d { x: 0, y: top, z: 0 }, ..texture.as_image_copy() },
+                wgpu::TexelCopyBufferInfo {
+                    buffer: &buffer,
+                    layout: wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(padded), rows_per_image: None },
+                },
+                wgpu::Extent3d { width, height: band, depth_or_array_layers: 1 },
+            );
+            self.queue.submit([encoder.finish()]);
+            let bytes = self.read_buffer(&buffer)?;
+            bytes.chunks_exact(padded as usize).take(band as usize).for_each(|padded| out.extend_from_slice(&padded[..row as usize]));
+        }
+        Ok(out)
     }
 
     /// Copies a mappable buffer back to memory. Waits for the GPU.
@@ -186,12 +208,40 @@ impl Gpu {
 }
 
 /// wgpu's native futures are ready when they are made; they wait for nothing that would have to wake this thread.
-fn block_on<T>(future: impl Future<Output = T>) -> T {
+pub(crate) fn block_on<T>(future: impl Future<Output = T>) -> T {
     let mut future = pin!(future);
     loop {
         if let Poll::Ready(value) = future.as_mut().poll(&mut Context::from_waker(Waker::noop())) {
             return value;
         }
         std::thread::yield_now();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bands_of_any_height_give_the_whole_texture() {
+        let gpu = Gpu::headless().unwrap();
+        let size = wgpu::Extent3d { width: 5, height: 7, depth_or_array_layers: 1 };
+        let texture = gpu.device.create_texture(&wgpu::TextureDescriptor {
+            label: None,
+            size,
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format: wgpu::TextureFormat::Rgba8Unorm,
+            usage: wgpu::TextureUsages::COPY_DST | wgpu::TextureUsages::COPY_SRC,
+            view_formats: &[],
+        });
+        let texels: Vec<u8> = (0..5 * 7 * 4).collect();
+        let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(20), rows_per_image: None };
+        gpu.queue.write_texture(texture.as_image_copy(), &texels, layout, size);
+        // A row takes 256 bytes in a buffer: one row, two, all seven at a time.
+        for band_bytes in [1, 600, 1 << 20] {
+            assert_eq!(gpu.read_bands(&texture, band_bytes).unwrap(), texels, "{band_bytes}");
+        }
     }
 }

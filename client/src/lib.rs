@@ -2,6 +2,7 @@
 //!
 //! [`join`] reads like the data path. Head motion never leaves the client.
 
+mod arguments;
 pub mod audio;
 pub mod camera;
 pub mod decode;

@@ -1,6 +1,7 @@
 //! `mr360-client render`: one picture of a scene in a still panorama, for looking at and for tests from outside.
 
 use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -16,20 +17,22 @@ use mr360_shaders::colour::decode_transfer;
 use mr360_shaders::project::project;
 use serde::Deserialize;
 
+use crate::arguments::{parse_angle, parse_fov, parse_size};
 use crate::camera::Camera;
 use crate::environment::Environment;
-use crate::gpu::Gpu;
+use crate::gpu::{Gpu, GpuError, block_on};
 use crate::picture::{Picture, Samples};
+use crate::scene::model::Model;
 use crate::view::{Renderer, View};
 
-/// Longest side of a panorama or a picture, pixels.
+/// Longest side of a panorama, pixels.
 const MAX_SIDE: u32 = 16_384;
 /// Most bytes that decoding a panorama may take.
 const MAX_PANORAMA_BYTES: u64 = 2 * 1024 * 1024 * 1024;
 /// Largest light file that is read.
 const MAX_LIGHT_BYTES: u64 = 1024 * 1024;
 
-/// Arguments of `mr360-client render`.
+/// Draw a scene into a still panorama.
 #[derive(Debug, Clone, clap::Args)]
 pub struct RenderArgs {
     /// Equirect panorama: .exr and .hdr are linear, .png and .jpg sRGB.
@@ -42,13 +45,13 @@ pub struct RenderArgs {
     #[arg(long, value_parser = parse_size, default_value = "1280x720")]
     pub size: (u32, u32),
     /// Vertical field of view, degrees.
-    #[arg(long, default_value_t = 60.0, value_parser = parse_fov)]
+    #[arg(long, default_value_t = 60.0, value_parser = parse_fov, allow_negative_numbers = true)]
     pub fov_y_deg: f32,
     /// Turn to the left, degrees.
-    #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
+    #[arg(long, default_value_t = 0.0, value_parser = parse_angle, allow_negative_numbers = true)]
     pub yaw_deg: f32,
     /// Look upwards, degrees.
-    #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
+    #[arg(long, default_value_t = 0.0, value_parser = parse_angle, allow_negative_numbers = true)]
     pub pitch_deg: f32,
     /// Picture to write, sRGB.
     #[arg(long)]
@@ -68,17 +71,6 @@ pub struct RenderArgs {
     pub right_eye: bool,
 }
 
-fn parse_size(text: &str) -> Result<(u32, u32), String> {
-    let side = |text: &str| text.parse().ok().filter(|side| (1..=MAX_SIDE).contains(side));
-    text.split_once(['x', '×'])
-        .and_then(|(width, height)| Some((side(width)?, side(height)?)))
-        .ok_or_else(|| format!("a size is WIDTHxHEIGHT, each from 1 to {MAX_SIDE}"))
-}
-
-fn parse_fov(text: &str) -> Result<f32, String> {
-    text.parse().ok().filter(|fov| (1.0..=170.0).contains(fov)).ok_or_else(|| "a field of view is from 1 to 170 degrees".to_owned())
-}
-
 fn parse_stereo(text: &str) -> Result<StereoLayout, String> {
     match text {
         "mono" => Ok(StereoLayout::Mono),
@@ -93,9 +85,6 @@ fn parse_stereo(text: &str) -> Result<StereoLayout, String> {
 /// # Errors
 /// What is wrong with which file or argument, or that there is no GPU to draw with.
 pub fn run(args: &RenderArgs) -> anyhow::Result<()> {
-    if !args.yaw_deg.is_finite() || !args.pitch_deg.is_finite() {
-        bail!("--yaw-deg {} --pitch-deg {}: an angle is not finite", args.yaw_deg, args.pitch_deg);
-    }
     let picture = load_panorama(&args.panorama, args.stereo)?;
     let (scene, assets) = load_scene(&args.scene)?;
     let light = match &args.light {
@@ -109,19 +98,28 @@ pub fn run(args: &RenderArgs) -> anyhow::Result<()> {
     camera.right_eye = args.right_eye;
     let gpu = Gpu::headless()?;
     let still = Still { gpu: &gpu, picture: &picture, light: &light, scene: &scene, assets: &assets };
+    // All is drawn before anything is written: a GPU that fails leaves no half of what was asked for.
+    let coded = still.draw(&camera, args.size, wgpu::TextureFormat::Rgba8UnormSrgb)?;
+    let linear = match &args.out_linear {
+        Some(path) => Some((path, still.draw(&camera, args.size, wgpu::TextureFormat::Rgba32Float)?)),
+        None => None,
+    };
     let (width, height) = args.size;
-    let bytes = still.draw(&camera, args.size, wgpu::TextureFormat::Rgba8UnormSrgb)?;
-    let rgb = bytes.chunks_exact(4).flat_map(|texel| [texel[0], texel[1], texel[2]]).collect();
-    let picture = image::RgbImage::from_raw(width, height, rgb).context("the GPU gave back fewer pixels than were asked for")?;
-    picture.save(&args.out).with_context(|| format!("{}: cannot be written; check folder, ending and free space", args.out.display()))?;
-    if let Some(path) = &args.out_linear {
-        let bytes = still.draw(&camera, args.size, wgpu::TextureFormat::Rgba32Float)?;
+    let rgb = coded.chunks_exact(4).flat_map(|texel| [texel[0], texel[1], texel[2]]).collect();
+    let picture = image::RgbImage::from_raw(width, height, rgb).context(TOO_FEW)?;
+    save(&picture.into(), &args.out)?;
+    if let Some((path, bytes)) = linear {
         let value = |at: usize| bytes.get(at..at + 4).and_then(|b| b.try_into().ok()).map_or(0.0, f32::from_le_bytes);
         let rgb = (0..bytes.len() / 16).flat_map(|texel| [0, 4, 8].map(|channel| value(texel * 16 + channel))).collect();
-        let picture = image::Rgb32FImage::from_raw(width, height, rgb).context("the GPU gave back fewer pixels than were asked for")?;
-        picture.save(path).with_context(|| format!("{}: cannot be written; check folder, ending and free space", path.display()))?;
+        save(&image::Rgb32FImage::from_raw(width, height, rgb).context(TOO_FEW)?.into(), path)?;
     }
     Ok(())
+}
+
+const TOO_FEW: &str = "the GPU gave back fewer pixels than were asked for";
+
+fn save(picture: &image::DynamicImage, path: &Path) -> anyhow::Result<()> {
+    picture.save(path).with_context(|| format!("{}: cannot be written; check folder, ending and free space", path.display()))
 }
 
 /// A still panorama with its light, and a scene to draw into it.
@@ -149,11 +147,24 @@ impl Still<'_> {
         if size.0.max(size.1) > largest {
             bail!("a picture of {}×{} pixels is larger than this GPU draws, {largest} on a side", size.0, size.1);
         }
+        let memory = gpu.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
+        let validation = gpu.device.push_error_scope(wgpu::ErrorFilter::Validation);
+        let drawn = self.draw_checked(camera, size, format);
+        let fault = [block_on(validation.pop()), block_on(memory.pop())].into_iter().flatten().next();
+        match fault {
+            // The fault came first: what it left undone may have failed in turn.
+            Some(fault) => Err(GpuError::Refused { width: size.0, height: size.1, fault: fault.to_string() }.into()),
+            None => drawn,
+        }
+    }
+
+    fn draw_checked(&self, camera: &Camera, size: (u32, u32), format: wgpu::TextureFormat) -> anyhow::Result<Vec<u8>> {
+        let gpu = self.gpu;
         let mut environment = Environment::new(gpu)?;
         environment.upload(gpu, self.picture)?;
         let mut renderer = Renderer::new(gpu, format)?;
         renderer.set_light(self.light);
-        if let Some(warning) = renderer.set_scene(gpu, self.scene, &|id| self.assets.get(&id).cloned()).into_iter().next() {
+        if let Some(warning) = renderer.set_scene(gpu, self.scene, &|id| self.assets.get(&id).cloned().map(Ok)).into_iter().next() {
             return Err(warning.into());
         }
         let target = gpu.device.create_texture(&wgpu::TextureDescriptor {
@@ -201,7 +212,7 @@ pub fn load_panorama(path: &Path, stereo: StereoLayout) -> anyhow::Result<Pictur
 }
 
 /// Models by name.
-pub type Models = HashMap<AssetId, Arc<[u8]>>;
+pub type Models = HashMap<AssetId, Arc<Model>>;
 
 /// Reads a scene and the models it names.
 ///
@@ -214,9 +225,11 @@ pub fn load_scene(path: &Path) -> anyhow::Result<(Scene, Models)> {
         if size > MAX_ASSET_BYTES as u64 {
             return Err(format!("{size} bytes, at most {MAX_ASSET_BYTES}"));
         }
-        let bytes: Arc<[u8]> = std::fs::read(model).map_err(|error| error.to_string())?.into();
+        let bytes = std::fs::read(model).map_err(|error| error.to_string())?;
         let id = AssetId::of(&bytes);
-        assets.insert(id, bytes);
+        if let Entry::Vacant(slot) = assets.entry(id) {
+            slot.insert(Arc::new(Model::parse(&bytes).map_err(|error| error.to_string())?));
+        }
         Ok(id)
     })?;
     Ok((scene, assets))
@@ -283,4 +296,40 @@ pub fn ambient_light(picture: &Picture) -> LightFrame {
         Samples::Yuv { .. } => Vec::new(),
     };
     LightFrame { pts_us: 0, published_us: 0, lift: Lift::Linear, sh: project::<SH9>(&radiance, width, height).to_vec(), lights: Vec::new() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_picture_beyond_one_buffer_is_drawn_whole() {
+        let gpu = Gpu::headless().unwrap();
+        let half = [0.25, 0.5, 0.75, 1.0].map(f16::from_f32);
+        let samples = Samples::Rgba16F { texels: [half, half].concat(), transfer: Transfer::Linear };
+        let picture = Picture { pts_us: 0, width: 2, height: 1, stereo: StereoLayout::Mono, samples };
+        let (scene, light) = (Scene::default(), ambient_light(&picture));
+        let still = Still { gpu: &gpu, picture: &picture, light: &light, scene: &scene, assets: &HashMap::new() };
+        let (width, height) = (8192, 2050);
+        assert!(u64::from(width) * u64::from(height) * 16 > gpu.device.limits().max_buffer_size);
+        let bytes = still.draw(&Camera::looking(0.0, 0.0, 1.0), (width, height), wgpu::TextureFormat::Rgba32Float).unwrap();
+        assert_eq!(bytes.len(), width as usize * height as usize * 16);
+        let texel: Vec<u8> = [0.25_f32, 0.5, 0.75, 1.0].iter().flat_map(|value| value.to_le_bytes()).collect();
+        assert!(bytes.chunks_exact(16).all(|drawn| drawn == texel));
+    }
+
+    #[test]
+    fn what_the_gpu_refuses_is_an_error_and_not_a_dump() {
+        let gpu = Gpu::headless().unwrap();
+        let samples = Samples::Rgba16F { texels: vec![f16::ONE; 8], transfer: Transfer::Linear };
+        let picture = Picture { pts_us: 0, width: 2, height: 1, stereo: StereoLayout::Mono, samples };
+        let (scene, light) = (Scene::default(), ambient_light(&picture));
+        let still = Still { gpu: &gpu, picture: &picture, light: &light, scene: &scene, assets: &HashMap::new() };
+        let camera = Camera::looking(0.0, 0.0, 1.0);
+        // A format that nothing can be drawn to.
+        let refused = still.draw(&camera, (64, 32), wgpu::TextureFormat::Rgb9e5Ufloat).unwrap_err();
+        assert!(refused.is::<GpuError>() && refused.to_string().contains("64×32"), "{refused}");
+        let largest = gpu.device.limits().max_texture_dimension_2d;
+        assert!(still.draw(&camera, (largest + 1, 1), wgpu::TextureFormat::Rgba8UnormSrgb).unwrap_err().to_string().contains("larger"));
+    }
 }

@@ -41,12 +41,12 @@ pub enum AudioError {
         codec: AudioCodec,
     },
     /// FFmpeg failed.
-    #[error("{codec:?} decoder cannot be opened ({source}); the catalog's description of the audio may be broken")]
+    #[error("{codec:?} decoder cannot be opened ({fault}); the catalog's description of the audio may be broken")]
     Ffmpeg {
         /// The codec.
         codec: AudioCodec,
         /// FFmpeg's error.
-        source: ffmpeg::Error,
+        fault: ffmpeg::Error,
     },
 }
 
@@ -87,10 +87,10 @@ impl AudioDecoder {
         };
         let found = ffmpeg::decoder::find(id).ok_or(AudioError::NoDecoder { codec })?;
         let mut context = Context::new_with_codec(found);
-        describe(&mut context, format).map_err(|source| AudioError::Ffmpeg { codec, source })?;
+        describe(&mut context, format).map_err(|fault| AudioError::Ffmpeg { codec, fault })?;
         let mut decoder = context.decoder();
         decoder.set_packet_time_base((1, 1_000_000));
-        let decoder = decoder.open_as(found).and_then(|opened| opened.audio()).map_err(|source| AudioError::Ffmpeg { codec, source })?;
+        let decoder = decoder.open_as(found).and_then(|opened| opened.audio()).map_err(|fault| AudioError::Ffmpeg { codec, fault })?;
         let layout = if channels == 1 { ChannelLayout::MONO } else { ChannelLayout::STEREO };
         Ok(Self { decoder, resampler: None, rate, layout, errors: 0 })
     }

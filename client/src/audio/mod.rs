@@ -203,6 +203,9 @@ mod tests {
         assert!(wrong(|f| f.sample_rate = 0).contains("sample rate"));
         assert!(wrong(|f| f.channels = 9).contains("channels"));
         assert!(wrong(|f| f.description = Some(Bytes::from(vec![0; 70_000]))).contains("description"));
+        // FFmpeg's word stands in the text; with all causes, as programs print errors, it would stand there again.
+        let error = AudioError::Ffmpeg { codec: AudioCodec::Aac, fault: ffmpeg_next::Error::Eof };
+        assert!(std::error::Error::source(&error).is_none());
     }
 
     #[test]

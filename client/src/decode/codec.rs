@@ -83,14 +83,14 @@ pub enum DecodeError {
         detail: String,
     },
     /// FFmpeg failed.
-    #[error("{codec} decoder: {action} failed ({source})")]
+    #[error("{codec} decoder: {action} failed ({fault})")]
     Ffmpeg {
         /// The codec.
         codec: Codec,
         /// What was tried.
         action: &'static str,
         /// FFmpeg's error.
-        source: ffmpeg::Error,
+        fault: ffmpeg::Error,
     },
 }
 
@@ -124,7 +124,7 @@ pub(super) fn open(format: &VideoFormat, hardware: Hardware) -> Result<Opened, D
         },
     };
     let software = find(codec)?;
-    let decoder = open_with(software, None).map_err(|source| DecodeError::Ffmpeg { codec, action: "opening", source })?;
+    let decoder = open_with(software, None).map_err(|fault| DecodeError::Ffmpeg { codec, action: "opening", fault })?;
     tracing::info!(%codec, decoder = software.name(), reason = why_not, "video is decoded in software");
     Ok(Opened { decoder, on_gpu: false })
 }
@@ -160,4 +160,16 @@ fn open_with(decoder: ffmpeg::Codec, device: Option<Device>) -> Result<ffmpeg::d
     let mut decoder_context = context.decoder();
     decoder_context.set_packet_time_base((1, 1_000_000));
     decoder_context.open_as_with(decoder, options)?.video()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_names_its_cause_once() {
+        let error = DecodeError::Ffmpeg { codec: Codec::H264, action: "decoding", fault: ffmpeg::Error::Eof };
+        // In its text; with all causes, as programs print errors, it would stand there again.
+        assert!(std::error::Error::source(&error).is_none());
+    }
 }

@@ -56,29 +56,33 @@ fn planar(format: Pixel) -> Option<Planar> {
 /// The planar format that loses least.
 fn nearest_planar(format: Pixel) -> Pixel {
     let Some(descriptor) = format.descriptor() else { return Pixel::YUV420P };
-    let deep = is_deep(format);
-    match (is_rgb(format), descriptor.log2_chroma_w(), descriptor.log2_chroma_h(), deep) {
-        (true, _, _, false) | (false, 0, _, false) => Pixel::YUV444P,
-        (true, _, _, true) | (false, 0, _, true) => Pixel::YUV444P10LE,
-        (false, 1, 0, false) => Pixel::YUV422P,
-        (false, 1, 0, true) => Pixel::YUV422P10LE,
-        (false, _, _, false) => Pixel::YUV420P,
-        (false, _, _, true) => Pixel::YUV420P10LE,
+    let chroma = if is_rgb(format) { (0, 0) } else { (descriptor.log2_chroma_w(), descriptor.log2_chroma_h()) };
+    match (chroma, is_deep(format)) {
+        ((0, _), false) => Pixel::YUV444P,
+        ((0, _), true) => Pixel::YUV444P10LE,
+        ((1, 0), false) => Pixel::YUV422P,
+        ((1, 0), true) => Pixel::YUV422P10LE,
+        (_, false) => Pixel::YUV420P,
+        (_, true) => Pixel::YUV420P10LE,
     }
 }
 
-/// What decoders and GPUs deliver in RGB.
-fn is_rgb(format: Pixel) -> bool {
-    matches!(
-        format,
-        Pixel::GBRP | Pixel::GBRP10LE | Pixel::GBRP12LE | Pixel::RGB24 | Pixel::BGR24 | Pixel::RGBA | Pixel::BGRA | Pixel::BGRZ
-    )
+/// FFmpeg's flags and the depth of the first sample, bits.
+#[expect(unsafe_code, reason = "ffmpeg-next's descriptor shows neither flags nor depths")]
+fn flags_and_depth(format: Pixel) -> (u64, i32) {
+    let Some(descriptor) = format.descriptor() else { return (0, 8) };
+    // SAFETY: FFmpeg's descriptors are static and never change; the pointer of one that exists is valid.
+    let descriptor = unsafe { &*descriptor.as_ptr() };
+    (descriptor.flags, descriptor.comp[0].depth)
 }
 
-/// More than 8 bits a sample; FFmpeg's names say so.
+fn is_rgb(format: Pixel) -> bool {
+    flags_and_depth(format).0 & ffmpeg::ffi::AV_PIX_FMT_FLAG_RGB as u64 != 0
+}
+
+/// More than 8 bits a sample.
 fn is_deep(format: Pixel) -> bool {
-    let name = format!("{format:?}");
-    ["P010", "P016", "P210", "P410", "9LE", "10LE", "12LE", "14LE", "16LE"].iter().any(|deep| name.contains(deep))
+    flags_and_depth(format).1 > 8
 }
 
 /// Turns frames into pictures.
@@ -197,5 +201,29 @@ impl Drop for Pooled {
             free.remove(0);
         }
         free.push(std::mem::take(&mut self.buffer));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_nearest_planar_format_keeps_depth_and_chroma() {
+        for (from, to, rgb) in [
+            (Pixel::NV12, Pixel::YUV420P, false),
+            (Pixel::P010LE, Pixel::YUV420P10LE, false),
+            (Pixel::YUV420P12LE, Pixel::YUV420P10LE, false),
+            (Pixel::UYVY422, Pixel::YUV422P, false),
+            (Pixel::YUV422P16LE, Pixel::YUV422P10LE, false),
+            (Pixel::YUVA444P, Pixel::YUV444P, false),
+            (Pixel::GBRP, Pixel::YUV444P, true),
+            (Pixel::GBRAP12LE, Pixel::YUV444P10LE, true),
+            (Pixel::RGB48LE, Pixel::YUV444P10LE, true),
+            (Pixel::X2RGB10LE, Pixel::YUV444P10LE, true),
+        ] {
+            assert_eq!((nearest_planar(from), is_rgb(from)), (to, rgb), "{from:?}");
+            assert!(planar(to).is_some());
+        }
     }
 }

@@ -195,7 +195,7 @@ impl Worker {
         self.waits_for_keyframe = true;
         self.strikes += 1;
         self.counters.errors.add(1);
-        self.report(&DecodeError::Ffmpeg { codec: format.codec, action, source });
+        self.report(&DecodeError::Ffmpeg { codec: format.codec, action, fault: source });
         if on_gpu && self.strikes >= GPU_STRIKES {
             tracing::warn!("the GPU's decoder failed {GPU_STRIKES} times in a row; going on in software");
             self.hardware = Hardware::Never;

@@ -163,14 +163,21 @@ fn the_last_picture_is_in_the_snapshot_and_every_frame_in_the_csv() {
 
 #[test]
 fn a_fixed_pace_repeats_the_picture_and_stops_at_the_count() {
-    let (mut frames, feeder) = frame_loop(1, None);
-    // The stream must not end before the count is reached.
-    let options = HeadlessOptions { frames: Some(1), pace: Pace::Fixed(200.0), ..options() };
-    let report = run(&mut frames, &options, &mut || Ok(graphics(false)), &mut still).unwrap();
-    feeder.join().unwrap();
-    assert!(report.frames <= 1);
+    let clock = ClientClock::start();
+    // Both stay open: the stream does not end, but nothing comes after its only picture.
+    let (pictures, taken) = outbox(1);
+    let (lights, arrivals) = channel();
+    let light = LightFrame { pts_us: 0, published_us: 0, lift: Default::default(), sh: vec![Vec3::ONE; SH9], lights: vec![] };
+    lights.send(Arrival::Light(ReceivedLight { light, arrived: clock.now() })).unwrap();
+    pictures.send(picture(0, clock)).ok().unwrap();
+    let inputs = Inputs { pictures: taken, arrivals, decoder: Arc::new(DecodeCounters::default()), audio: None };
+    let mut frames = FrameLoop::new(inputs, clock, Stats::open(None, &["clear"]).unwrap());
+    let options = HeadlessOptions { frames: Some(5), pace: Pace::Fixed(200.0), ..options() };
+    assert_eq!(run(&mut frames, &options, &mut || Ok(graphics(false)), &mut still).unwrap().frames, 5);
     let wrong = HeadlessOptions { pace: Pace::Fixed(0.0), ..options };
     assert!(matches!(run(&mut frames, &wrong, &mut || Ok(graphics(false)), &mut still), Err(HeadlessError::Pace(_))));
+    let summary = frames.into_stats().finish().unwrap();
+    assert_eq!((summary.frames(), summary.pictures()), (5, 1));
 }
 
 #[test]

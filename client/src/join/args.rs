@@ -9,14 +9,12 @@ use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 use mr360_protocol::join::JoinUrl;
 
+use crate::arguments::{parse_angle, parse_fov, parse_size};
 use crate::camera::Camera;
 use crate::decode::Hardware;
 use crate::headless::{HeadlessOptions, Pace};
 use crate::receive;
 use crate::window::WindowOptions;
-
-/// Largest side of a headless picture.
-const MAX_SIDE: u32 = 8192;
 
 /// Where to present.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -48,22 +46,22 @@ pub struct JoinArgs {
     #[arg(long, value_name = "WxH", default_value = "1280x720", value_parser = parse_size)]
     pub size: (u32, u32),
     /// End after so many frames.
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub frames: Option<u64>,
     /// End after so many seconds.
-    #[arg(long, value_name = "SECONDS", value_parser = parse_seconds)]
+    #[arg(long, value_name = "SECONDS", value_parser = parse_seconds, allow_negative_numbers = true)]
     pub duration: Option<Duration>,
     /// Frames a second, headless [default: every picture of the video].
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = parse_fps, allow_negative_numbers = true)]
     pub fps: Option<f64>,
     /// Vertical field of view, headless.
-    #[arg(long, value_name = "DEGREES", default_value_t = 75.0)]
+    #[arg(long, value_name = "DEGREES", default_value_t = 75.0, value_parser = parse_fov, allow_negative_numbers = true)]
     pub fov_y_deg: f32,
     /// Look left of the panorama's centre, headless.
-    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true)]
+    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, value_parser = parse_angle, allow_negative_numbers = true)]
     pub yaw_deg: f32,
     /// Look up, headless.
-    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true)]
+    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, value_parser = parse_angle, allow_negative_numbers = true)]
     pub pitch_deg: f32,
     /// Decode in software, even where the GPU could.
     #[arg(long)]
@@ -101,14 +99,6 @@ impl JoinArgs {
         if mode == Mode::Window && to_file {
             bail!("--record and --snapshot go with --mode headless");
         }
-        if !(1.0..=170.0).contains(&self.fov_y_deg) || !self.yaw_deg.is_finite() || !self.pitch_deg.is_finite() {
-            bail!("--fov-y-deg is from 1 to 170, --yaw-deg and --pitch-deg are finite");
-        }
-        let pace = match self.fps {
-            Some(fps) if fps.is_finite() && fps > 0.0 => Pace::Fixed(fps),
-            Some(fps) => bail!("--fps {fps}: give a number above 0"),
-            None => Pace::Video,
-        };
         let user = self.user.unwrap_or_else(|| format!("viewer-{:08x}", std::process::id() ^ random()));
         if !mr360_protocol::track::is_valid_room(&user) {
             bail!("--user {user:?}: not 1 to 64 of a-z A-Z 0-9 - _");
@@ -126,7 +116,7 @@ impl JoinArgs {
             size: self.size,
             frames: self.frames,
             duration: self.duration,
-            pace,
+            pace: self.fps.map_or(Pace::Video, Pace::Fixed),
             mute: self.mute,
         })
     }
@@ -167,13 +157,11 @@ fn random() -> u32 {
     std::collections::hash_map::RandomState::new().build_hasher().finish() as u32
 }
 
-fn parse_size(text: &str) -> Result<(u32, u32), String> {
-    let side = |text: &str| text.parse().ok().filter(|side| (1..=MAX_SIDE).contains(side));
-    text.split_once('x')
-        .and_then(|(width, height)| Some((side(width)?, side(height)?)))
-        .ok_or_else(|| format!("a size is WIDTHxHEIGHT, each from 1 to {MAX_SIDE}"))
+fn parse_seconds(text: &str) -> Result<Duration, String> {
+    let seconds = text.parse().ok().and_then(|seconds: f64| Duration::try_from_secs_f64(seconds).ok());
+    seconds.filter(|seconds| !seconds.is_zero()).ok_or_else(|| "a duration is a number of seconds above 0".to_owned())
 }
 
-fn parse_seconds(text: &str) -> Result<Duration, String> {
-    text.parse().ok().and_then(|seconds: f64| Duration::try_from_secs_f64(seconds).ok()).ok_or_else(|| "not a number of seconds".to_owned())
+fn parse_fps(text: &str) -> Result<f64, String> {
+    text.parse().ok().filter(|fps: &f64| fps.is_finite() && *fps > 0.0).ok_or_else(|| "a rate is a number of frames above 0".to_owned())
 }

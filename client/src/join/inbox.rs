@@ -1,14 +1,15 @@
 //! Takes what the network brings to where it belongs: decoder, playout, sound, scene.
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::Sender;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 use mr360_protocol::transport::LinkEvent;
 use tokio::sync::mpsc;
 
+use super::arrivals::Arrivals;
 use super::live_stage::SharedScene;
+use super::standing::Standing;
 use crate::audio::{AudioFormat, AudioPlayer, AudioTimeline};
 use crate::decode::VideoDecoder;
 use crate::frame_loop::Arrival;
@@ -18,8 +19,9 @@ use crate::sync::{ClientClock, ReceivedLight};
 /// The far ends of the data path's first half.
 pub(super) struct Inbox {
     decoder: VideoDecoder,
-    arrivals: Sender<Arrival>,
+    arrivals: Arrivals,
     scene: SharedScene,
+    standing: Standing,
     /// Where sound is played by; `None` for silence.
     timeline: Option<AudioTimeline>,
     player: Option<AudioPlayer>,
@@ -27,6 +29,15 @@ pub(super) struct Inbox {
     started: Instant,
     first_unit: bool,
     names: Names,
+}
+
+/// Kinds of tracks that bytes are counted of.
+#[derive(Clone, Copy)]
+enum Track {
+    Video,
+    Light,
+    Audio,
+    Asset,
 }
 
 /// Track names, shared with every row of the statistics.
@@ -40,13 +51,14 @@ struct Names {
 impl Inbox {
     pub(super) fn new(
         decoder: VideoDecoder,
-        arrivals: Sender<Arrival>,
+        arrivals: Arrivals,
         scene: SharedScene,
+        standing: Standing,
         timeline: Option<AudioTimeline>,
         clock: ClientClock,
     ) -> Self {
         let names = Names { video: "video".into(), light: "light".into(), audio: "audio".into(), asset: "asset".into() };
-        Self { decoder, arrivals, scene, timeline, player: None, clock, started: Instant::now(), first_unit: true, names }
+        Self { decoder, arrivals, scene, standing, timeline, player: None, clock, started: Instant::now(), first_unit: true, names }
     }
 
     /// Runs on a thread of its own until the network ends. Then the decoder is let go, and the frame loop ends
@@ -70,50 +82,53 @@ impl Inbox {
     }
 
     fn take(&mut self, event: Event) -> Result<(), ReceiveError> {
+        self.standing.hear(&event);
         match event {
             Event::Link(LinkEvent::Up(version)) => tracing::info!(version, "connected"),
             Event::Link(LinkEvent::Down { fault, retry_in }) => tracing::warn!(%fault, ?retry_in, "connection lost; trying again"),
             Event::Joined => {
                 tracing::info!("joined the room");
-                self.arrive(Arrival::NewBroadcast);
+                self.arrivals.send(Arrival::NewBroadcast);
             }
             Event::AwaitingSource => tracing::info!("the room is open; its source has not come yet"),
             Event::Video(format) => {
                 tracing::info!(?format, "video");
                 if let Err(error) = self.decoder.set_format(format) {
                     tracing::error!("{error}");
+                    self.standing.cannot_decode(&error);
                 }
             }
             Event::Unit(unit) => {
                 if std::mem::take(&mut self.first_unit) {
                     tracing::info!("first frame received after {} ms", self.started.elapsed().as_millis());
                 }
-                self.count(&self.names.video, unit.data.len());
-                if let Err(error) = self.decoder.push(unit) {
-                    tracing::debug!(%error, "access unit refused");
+                self.count(Track::Video, unit.data.len());
+                match self.decoder.push(unit) {
+                    Ok(()) => self.standing.video_came(),
+                    Err(error) => tracing::debug!(%error, "access unit refused"),
                 }
             }
             Event::Audio(format) => self.open_sound(format.as_ref()),
             Event::AudioPacket { pts_us, data } => {
-                self.count(&self.names.audio, data.len());
+                self.count(Track::Audio, data.len());
                 if let Some(player) = &mut self.player {
                     player.push(pts_us, &data);
                 }
             }
             Event::Light { frame, bytes, arrived } => {
-                self.count(&self.names.light, bytes);
-                self.arrive(Arrival::Light(ReceivedLight { light: frame, arrived }));
+                self.count(Track::Light, bytes);
+                self.arrivals.send(Arrival::Light(ReceivedLight { light: frame, arrived }));
             }
             Event::Scene(message) => {
                 if let Err(error) = self.scene.apply(&message) {
                     tracing::warn!("{error}");
                 }
             }
-            Event::Asset(id, bytes) => {
-                self.count(&self.names.asset, bytes.len());
-                self.scene.add_asset(id, &bytes);
+            Event::Asset { id, bytes, model } => {
+                self.count(Track::Asset, bytes);
+                self.scene.add_model(id, model);
             }
-            Event::AssetFailed(id, error) => tracing::warn!(%id, "{error}; objects of this model are left out"),
+            Event::AssetFailed(_, error) => tracing::warn!("{error}; trying again, objects of this model are left out until it comes"),
             Event::Refused(fault) => tracing::warn!("{fault}"),
             Event::Ended(error) => return Err(error),
         }
@@ -129,12 +144,13 @@ impl Inbox {
         }
     }
 
-    fn count(&self, track: &Arc<str>, bytes: usize) {
-        self.arrive(Arrival::Bytes(Arc::clone(track), bytes));
-    }
-
-    fn arrive(&self, arrival: Arrival) {
-        // A frame loop that has ended takes nothing more; the whole client is about to.
-        let _ = self.arrivals.send(arrival);
+    fn count(&mut self, track: Track, bytes: usize) {
+        let name = match track {
+            Track::Video => &self.names.video,
+            Track::Light => &self.names.light,
+            Track::Audio => &self.names.audio,
+            Track::Asset => &self.names.asset,
+        };
+        self.arrivals.send(Arrival::Bytes(Arc::clone(name), bytes));
     }
 }

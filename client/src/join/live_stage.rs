@@ -12,11 +12,14 @@ use crate::camera::Camera;
 use crate::environment::Environment;
 use crate::frame_loop::{BoxError, FrameError, Stage, Target};
 use crate::gpu::Gpu;
+use crate::scene::model::{LoadedModel, ModelError};
 use crate::scene::pick::Ray;
 use crate::stats::PassTime;
 use crate::sync::{Paired, ReceivedLight};
 use crate::view::{Renderer, View};
 
+/// Most bytes of memory for all models together.
+const MAX_MODEL_BYTES: usize = 2 * 1024 * 1024 * 1024;
 /// Farthest point of the ground that the pointer reaches, metres.
 const REACH_M: f32 = 100.0;
 
@@ -24,10 +27,11 @@ const REACH_M: f32 = 100.0;
 #[derive(Clone, Default)]
 pub struct SharedScene(Arc<Mutex<SceneState>>);
 
-#[derive(Default)]
+#[derive(Default, Clone)]
 struct SceneState {
-    scene: Scene,
-    assets: HashMap<AssetId, Arc<[u8]>>,
+    /// Shared with the frame loop, which keeps the one it draws: changes are made to a copy then.
+    scene: Arc<Scene>,
+    models: Arc<HashMap<AssetId, LoadedModel>>,
     /// Counts changes of either.
     version: u64,
 }
@@ -43,16 +47,31 @@ impl SharedScene {
     /// When a delta does not follow; the next snapshot heals that.
     pub fn apply(&self, message: &SceneMessage) -> Result<(), ApplyError> {
         let mut state = self.lock();
-        state.scene.apply(message)?;
+        Arc::make_mut(&mut state.scene).apply(message)?;
         state.version += 1;
         Ok(())
     }
 
-    /// Takes in a model.
-    pub fn add_asset(&self, id: AssetId, bytes: &[u8]) {
+    /// Takes in a model. Where all together would take too much memory, those that no object shows go first.
+    pub fn add_model(&self, id: AssetId, model: LoadedModel) {
         let mut state = self.lock();
-        state.assets.insert(id, bytes.into());
+        let state = &mut *state;
+        let bytes = |model: &LoadedModel| model.as_ref().map_or(0, |model| model.bytes());
+        let room = MAX_MODEL_BYTES.saturating_sub(bytes(&model));
+        let models = Arc::make_mut(&mut state.models);
+        if models.values().map(bytes).sum::<usize>() > room {
+            let shown = state.scene.assets();
+            models.retain(|id, _| shown.contains(id));
+        }
+        let fits = models.values().map(bytes).sum::<usize>() <= room;
+        let too_large = ModelError::TooLarge { what: "bytes of memory with the scene's other models", limit: MAX_MODEL_BYTES };
+        models.insert(id, if fits { model } else { Err(too_large) });
         state.version += 1;
+    }
+
+    /// Scene and models of this moment; the lock is not held any longer.
+    fn snapshot(&self) -> SceneState {
+        self.lock().clone()
     }
 
     /// The object's transform with another position.
@@ -92,22 +111,20 @@ impl LiveStage {
 
     fn follow_scene(&mut self) {
         let Some((_, renderer)) = &mut self.renderer else { return };
-        let state = self.shared.lock();
-        let wanted = self.lit.then_some(state.version);
-        if self.shown == wanted {
+        // Without light there is nothing to show objects by. They stay on the GPU: the light may be back with the next picture.
+        renderer.set_visible(self.lit);
+        let state = self.shared.snapshot();
+        if self.shown == Some(state.version) {
             return;
         }
-        // Without light there is nothing to show objects by: an empty scene on the same ground.
-        let hidden = Scene { ground_y: state.scene.ground_y, ..Scene::default() };
-        let scene = if self.lit { &state.scene } else { &hidden };
-        for warning in renderer.set_scene(&self.gpu, scene, &|id| state.assets.get(&id).cloned()) {
+        for warning in renderer.set_scene(&self.gpu, &state.scene, &|id| state.models.get(&id).cloned()) {
             let text = warning.to_string();
             if self.warned.insert(warning.object, text.clone()).as_ref() != Some(&text) {
                 tracing::warn!("{text}; the object is left out");
             }
         }
         self.ground_y = state.scene.ground_y;
-        self.shown = wanted;
+        self.shown = Some(state.version);
     }
 }
 
@@ -146,7 +163,7 @@ impl Stage for LiveStage {
         let view = View { camera: *camera, target: &target.view, size: (target.width, target.height) };
         let report = renderer.render(&self.gpu, &mut encoder, &mut self.environment, &[view]);
         self.gpu.queue.submit([encoder.finish()]);
-        Ok(report.passes.iter().map(|pass| PassTime { name: pass.name, gpu_ms: pass.gpu_ms }).collect())
+        Ok(report.passes)
     }
 
     fn device_lost(&self) -> Option<String> {
@@ -169,4 +186,94 @@ impl Stage for LiveStage {
 
 fn ray(camera: &Camera, ndc: Vec2, aspect: f32) -> Ray {
     Ray { origin: camera.position, direction: camera.ray(ndc, aspect) }
+}
+
+#[cfg(test)]
+mod tests {
+    use mr360_protocol::light::{LightFrame, SH9};
+    use mr360_protocol::scene::{Geometry, Object};
+    use mr360_protocol::video::{StereoLayout, Transfer};
+
+    use super::*;
+    use crate::picture::{Picture, Samples};
+    use crate::scene::mesh::{Bounds, Mesh};
+    use crate::scene::model::Model;
+    use crate::sync::ReceivedLight;
+
+    fn model(indices: usize) -> LoadedModel {
+        let mesh = Mesh { vertices: Vec::new(), indices: vec![0; indices] };
+        let surface = crate::scene::material::Surface {
+            base_color: Vec3::ONE,
+            roughness: 1.0,
+            metallic: 0.0,
+            glass: false,
+            double_sided: false,
+            base_color_texture: None,
+            metallic_roughness_texture: None,
+        };
+        Ok(Arc::new(Model { parts: vec![crate::scene::model::Part { mesh, surface }], textures: Vec::new(), bounds: Bounds::EMPTY }))
+    }
+
+    fn snapshot(geometry: Geometry) -> SceneMessage {
+        let object = Object { id: ObjectId(1), geometry, transform: Transform::default(), material: None };
+        SceneMessage::Snapshot(Scene { objects: vec![object], ..Scene::default() })
+    }
+
+    #[test]
+    fn what_the_frame_loop_holds_does_not_change_under_it() {
+        let shared = SharedScene::default();
+        let id = AssetId::of(b"a");
+        shared.apply(&snapshot(Geometry::Model(id))).unwrap();
+        let before = shared.snapshot();
+        shared.add_model(id, model(3));
+        shared.apply(&SceneMessage::Snapshot(Scene::default())).unwrap();
+        assert_eq!((before.scene.objects.len(), before.models.len(), before.version), (1, 0, 1));
+        let after = shared.snapshot();
+        assert_eq!((after.scene.objects.len(), after.models.len(), after.version), (0, 1, 3));
+        // Nothing changed: the same scene and models, not copies of them.
+        assert!(Arc::ptr_eq(&after.scene, &shared.snapshot().scene) && Arc::ptr_eq(&after.models, &shared.snapshot().models));
+    }
+
+    #[test]
+    fn models_that_nobody_shows_make_room_and_too_many_are_refused() {
+        let shared = SharedScene::default();
+        let [shown, unseen, third, fourth] = [b"a", b"b", b"c", b"d"].map(|name| AssetId::of(name));
+        shared.apply(&snapshot(Geometry::Model(shown))).unwrap();
+        // Zeroed memory that nobody reads costs none.
+        let large = || model(MAX_MODEL_BYTES / 4 / 2);
+        shared.add_model(shown, large());
+        shared.add_model(unseen, large());
+        shared.add_model(third, model(3));
+        let models = shared.snapshot().models;
+        assert!(models.contains_key(&shown) && !models.contains_key(&unseen) && models[&third].is_ok());
+        shared.add_model(fourth, model(MAX_MODEL_BYTES / 4 / 2 + 1));
+        assert!(matches!(shared.snapshot().models[&fourth], Err(ModelError::TooLarge { .. })));
+    }
+
+    fn paired(lit: bool) -> Paired {
+        let samples = Samples::Rgba16F { texels: vec![half::f16::ONE; 2 * 4], transfer: Transfer::Linear };
+        let picture = Picture { pts_us: 0, width: 2, height: 1, stereo: StereoLayout::Mono, samples };
+        let now = mr360_protocol::clock::ClientTime(0);
+        let light = LightFrame { pts_us: 0, published_us: 0, lift: Default::default(), sh: vec![Vec3::ONE; SH9], lights: vec![] };
+        let light = lit.then_some(ReceivedLight { light, arrived: now });
+        Paired { picture, light, arrived: now, decoded: now, paired: now }
+    }
+
+    #[test]
+    fn a_gap_of_light_hides_objects_and_leaves_them_on_the_gpu() {
+        let gpu = Gpu::headless().unwrap();
+        let (device, queue) = (gpu.device.clone(), gpu.queue.clone());
+        let shared = SharedScene::default();
+        shared.apply(&snapshot(Geometry::Shape(mr360_protocol::scene::Shape::Sphere))).unwrap();
+        let mut stage = LiveStage::new(gpu, shared).unwrap();
+        let offscreen = crate::headless::Offscreen::new(&device, &queue, 8, 8);
+        let camera = Camera { position: Vec3::Z * 3.0, ..Camera::looking(0.0, 0.0, 1.0) };
+        let mut seen = Vec::new();
+        for lit in [true, false, true] {
+            stage.update(paired(lit)).unwrap();
+            stage.draw(&camera, &offscreen.target()).unwrap();
+            seen.push((stage.shown, stage.pick(&camera, Vec2::ZERO, 1.0)));
+        }
+        assert_eq!(seen, [(Some(1), Some(ObjectId(1))), (Some(1), None), (Some(1), Some(ObjectId(1)))]);
+    }
 }

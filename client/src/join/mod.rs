@@ -1,8 +1,10 @@
 //! `mr360-client join`: receive ─► decode ─► sync ─► environment ─► view ─► present.
 
 mod args;
+mod arrivals;
 mod inbox;
 mod live_stage;
+mod standing;
 #[cfg(test)]
 mod tests;
 
@@ -10,7 +12,6 @@ pub use args::{JoinArgs, Mode};
 pub use live_stage::LiveStage;
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::channel;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use mr360_protocol::scene::Action;
@@ -27,8 +28,10 @@ use crate::sync::ClientClock;
 use crate::view;
 use crate::window::{self, UserAction, WindowError, WindowGraphics};
 use args::Settings;
+use arrivals::Arrivals;
 use inbox::Inbox;
 use live_stage::SharedScene;
+use standing::Standing;
 
 /// Why the client ended.
 #[derive(Debug)]
@@ -42,7 +45,8 @@ pub enum Failure {
 /// Joins a broadcast and presents it until the user, a limit, or the broadcast's end.
 ///
 /// # Errors
-/// [`Failure::Input`] for a wrong URL or setting, [`Failure::Running`] for everything that ends a run later.
+/// [`Failure::Input`] for a wrong URL or setting, [`Failure::Running`] for everything that ends a run later. A run that has shown
+/// nothing and was not ended by the user has failed, too.
 pub fn run(args: JoinArgs) -> Result<(), Failure> {
     let settings = args.settle().map_err(Failure::Input)?;
     let stats = Stats::open(settings.stats.as_deref(), &view::PASSES).map_err(|error| Failure::Input(error.into()))?;
@@ -55,11 +59,12 @@ fn present(settings: &Settings, stats: Stats) -> anyhow::Result<()> {
     let (network, events) = Network::start(settings.network.clone(), clock)?;
     let user = network.user();
     let (decoder, pictures) = VideoDecoder::start(clock, settings.hardware)?;
-    let (arrivals_sender, arrivals) = channel();
+    let (sender, arrivals) = Arrivals::new();
+    let (dropped, standing) = (sender.dropped(), Standing::new());
     let scene = SharedScene::default();
     let audio = crate::audio::AudioTimeline::default();
     let inputs = Inputs { pictures, arrivals, decoder: decoder.counters(), audio: Some(audio.clone()) };
-    let inbox = Inbox::new(decoder, arrivals_sender, scene.clone(), settings.wants_sound().then_some(audio), clock);
+    let inbox = Inbox::new(decoder, sender, scene.clone(), standing.clone(), settings.wants_sound().then_some(audio), clock);
     let end = Arc::new(Mutex::new(None));
     inbox.spawn(events, Arc::clone(&end), Arc::clone(&settings.stop))?;
 
@@ -69,12 +74,17 @@ fn present(settings: &Settings, stats: Stats) -> anyhow::Result<()> {
         Mode::Headless => to_file(&mut frames, settings, &scene),
     };
     drop(network);
+    let presented = frames.frames();
     let summary = frames.into_stats().finish()?;
     eprintln!("{summary}");
     if let Some(error) = end.lock().unwrap_or_else(PoisonError::into_inner).take() {
         return Err(error);
     }
-    shown
+    match dropped.load(Ordering::Relaxed) {
+        0 => {}
+        dropped => tracing::warn!(dropped, "lights and counts of bytes were dropped while the frame loop stood still"),
+    }
+    standing.judge(shown, presented, settings.stop.load(Ordering::Relaxed))
 }
 
 fn in_window(frames: &mut FrameLoop, settings: &Settings, scene: &SharedScene, user: &User) -> anyhow::Result<()> {

@@ -1,8 +1,9 @@
-//! Fetches the models that a scene names, checks their hashes, and keeps them on disk.
+//! Fetches the models that a scene names, checks their hashes, and reads them.
 
 use std::collections::HashSet;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
+use std::time::Duration;
 
 use bytes::Bytes;
 use mr360_protocol::asset::{AssetId, MAX_ASSET_BYTES, MAX_ASSETS};
@@ -12,9 +13,20 @@ use tokio::sync::{Semaphore, mpsc};
 use tokio::task::JoinSet;
 
 use super::Event;
+use super::asset_cache::AssetCache;
+use crate::scene::model::{LoadedModel, Model};
 
-/// Fetched at once: each may take 31 MiB of memory.
+/// Fetched and read at once: each may take hundreds of megabytes meanwhile.
 const CONCURRENT: usize = 2;
+
+/// Waits between tries: they double.
+#[derive(Debug, Clone, Copy)]
+struct Backoff {
+    first: Duration,
+    longest: Duration,
+}
+
+const BACKOFF: Backoff = Backoff { first: Duration::from_secs(1), longest: Duration::from_secs(60) };
 
 /// Why a model could not be had.
 #[derive(Debug, thiserror::Error)]
@@ -46,66 +58,21 @@ pub enum AssetError {
     },
 }
 
-/// Assets on disk, each in a file named by its hash. A cache: every failure means only that it is fetched again.
-#[derive(Debug, Clone)]
-pub struct AssetCache {
-    folder: PathBuf,
-}
-
-impl AssetCache {
-    /// A cache in this folder.
-    #[must_use]
-    pub fn new(folder: &Path) -> Self {
-        Self { folder: folder.to_owned() }
-    }
-
-    /// The asset, if it is there and whole.
-    #[must_use]
-    pub fn load(&self, id: AssetId) -> Option<Bytes> {
-        let path = self.path(id);
-        if std::fs::metadata(&path).ok()?.len() > MAX_ASSET_BYTES as u64 {
-            return None;
-        }
-        let bytes = std::fs::read(&path).ok()?;
-        if AssetId::of(&bytes) == id {
-            return Some(bytes.into());
-        }
-        tracing::warn!(path = %path.display(), "cached asset is damaged; fetching it again");
-        None
-    }
-
-    /// Keeps the asset. A file is written aside and renamed, so that a crash or a full disk leaves no half.
-    pub fn store(&self, id: AssetId, bytes: &[u8]) {
-        let (path, partial) = (self.path(id), self.folder.join(format!("{id}.{}.partial", std::process::id())));
-        let written = std::fs::create_dir_all(&self.folder)
-            .and_then(|()| std::fs::write(&partial, bytes))
-            .and_then(|()| std::fs::rename(&partial, &path));
-        if let Err(error) = written {
-            tracing::warn!(path = %path.display(), %error, "asset not cached");
-            // It may never have been made.
-            let _ = std::fs::remove_file(&partial);
-        }
-    }
-
-    fn path(&self, id: AssetId) -> PathBuf {
-        self.folder.join(id.to_string())
-    }
-}
-
-/// Fetches each asset once, in the background.
+/// Fetches each asset once, in the background; what fails is tried again until the broadcast ends.
 pub(super) struct AssetFetcher {
-    broadcast: moq_net::broadcast::Consumer,
-    cache: AssetCache,
+    source: Source,
     events: mpsc::Sender<Event>,
     wanted: HashSet<AssetId>,
     permits: Arc<Semaphore>,
     tasks: JoinSet<()>,
+    backoff: Backoff,
 }
 
 impl AssetFetcher {
-    pub(super) fn new(broadcast: moq_net::broadcast::Consumer, cache: PathBuf, events: mpsc::Sender<Event>) -> Self {
+    pub(super) fn new(broadcast: moq_net::broadcast::Consumer, cache: impl AsRef<Path>, events: mpsc::Sender<Event>) -> Self {
+        let source = Source { broadcast, cache: AssetCache::new(cache.as_ref()) };
         let permits = Arc::new(Semaphore::new(CONCURRENT));
-        Self { broadcast, cache: AssetCache { folder: cache }, events, wanted: HashSet::new(), permits, tasks: JoinSet::new() }
+        Self { source, events, wanted: HashSet::new(), permits, tasks: JoinSet::new(), backoff: BACKOFF }
     }
 
     /// Starts to fetch what the message names and was not asked for before.
@@ -127,68 +94,136 @@ impl AssetFetcher {
             if self.wanted.len() >= MAX_ASSETS || !self.wanted.insert(id) {
                 continue;
             }
-            let (broadcast, cache, events, permits) =
-                (self.broadcast.clone(), self.cache.clone(), self.events.clone(), Arc::clone(&self.permits));
-            self.tasks.spawn(async move {
-                // The semaphore is never closed.
-                let _permit = permits.acquire_owned().await;
-                let event = match fetch(&broadcast, &cache, id).await {
-                    Ok(bytes) => Event::Asset(id, bytes),
-                    Err(error) => Event::AssetFailed(id, error),
-                };
-                // A closed queue: nobody wants it any more.
-                let _ = events.send(event).await;
-            });
+            let (source, events, permits) = (self.source.clone(), self.events.clone(), Arc::clone(&self.permits));
+            self.tasks.spawn(deliver(source, id, events, permits, self.backoff));
         }
     }
 }
 
-async fn fetch(broadcast: &moq_net::broadcast::Consumer, cache: &AssetCache, id: AssetId) -> Result<Bytes, AssetError> {
-    if let Some(bytes) = cache.load(id) {
-        return Ok(bytes);
-    }
-    let fault = |fault: String| AssetError::Fetch { id, fault };
-    let received = async {
-        let mut track = broadcast.track(&id.track())?.subscribe(track::asset_subscription()).await?;
-        match track.recv_group().await? {
-            Some(mut group) => group.read_frame().await,
-            None => Ok(None),
+/// Fetches one asset until it is here. The first failure is reported, later ones are like it.
+async fn deliver(source: Source, id: AssetId, events: mpsc::Sender<Event>, permits: Arc<Semaphore>, backoff: Backoff) {
+    let mut wait = backoff.first;
+    loop {
+        let fetched = {
+            // The semaphore is never closed. Its permit is free while this asset waits for its next try.
+            let _permit = permits.acquire().await;
+            source.fetch(id).await
+        };
+        let sent = match fetched {
+            Ok(asset) => {
+                // A closed queue: nobody wants it any more.
+                let _ = events.send(Event::Asset { id, bytes: asset.bytes, model: asset.model }).await;
+                return;
+            }
+            Err(error) if wait == backoff.first => events.send(Event::AssetFailed(id, error)).await,
+            Err(error) => {
+                tracing::debug!("{error}; trying again");
+                Ok(())
+            }
+        };
+        if sent.is_err() {
+            return;
         }
-    };
-    let frame = received.await.map_err(|error: moq_net::Error| fault(error.to_string()))?;
-    let bytes = frame.ok_or_else(|| fault("the track is empty".to_owned()))?.payload;
-    if bytes.len() > MAX_ASSET_BYTES {
-        return Err(AssetError::TooLarge { id, bytes: bytes.len() as u64 });
+        tokio::time::sleep(wait).await;
+        wait = (wait * 2).min(backoff.longest);
     }
-    let got = AssetId::of(&bytes);
-    if got != id {
-        return Err(AssetError::WrongHash { id, got });
+}
+
+/// A model, read.
+struct Asset {
+    bytes: usize,
+    model: LoadedModel,
+}
+
+impl Asset {
+    fn read(bytes: &Bytes) -> Self {
+        Self { bytes: bytes.len(), model: Model::parse(bytes).map(Arc::new) }
     }
-    cache.store(id, &bytes);
-    Ok(bytes)
+}
+
+/// Where assets come from.
+#[derive(Clone)]
+struct Source {
+    broadcast: moq_net::broadcast::Consumer,
+    cache: AssetCache,
+}
+
+impl Source {
+    /// Files, hashes of 31 MiB and glTF would hold up every track of the network's thread: they go elsewhere.
+    async fn fetch(&self, id: AssetId) -> Result<Asset, AssetError> {
+        let cache = self.cache.clone();
+        if let Some(asset) = aside(id, move || Ok(cache.load(id).as_ref().map(Asset::read))).await? {
+            return Ok(asset);
+        }
+        let bytes = self.receive(id).await?;
+        let cache = self.cache.clone();
+        aside(id, move || {
+            let got = AssetId::of(&bytes);
+            if got != id {
+                return Err(AssetError::WrongHash { id, got });
+            }
+            cache.store(id, &bytes);
+            Ok(Asset::read(&bytes))
+        })
+        .await
+    }
+
+    async fn receive(&self, id: AssetId) -> Result<Bytes, AssetError> {
+        let fault = |fault: String| AssetError::Fetch { id, fault };
+        let received = async {
+            let mut track = self.broadcast.track(&id.track())?.subscribe(track::asset_subscription()).await?;
+            match track.recv_group().await? {
+                Some(mut group) => group.read_frame().await,
+                None => Ok(None),
+            }
+        };
+        let frame = received.await.map_err(|error: moq_net::Error| fault(error.to_string()))?;
+        let bytes = frame.ok_or_else(|| fault("the track is empty".to_owned()))?.payload;
+        if bytes.len() > MAX_ASSET_BYTES { Err(AssetError::TooLarge { id, bytes: bytes.len() as u64 }) } else { Ok(bytes) }
+    }
+}
+
+/// Runs on a thread that may block.
+async fn aside<T: Send + 'static>(id: AssetId, work: impl FnOnce() -> Result<T, AssetError> + Send + 'static) -> Result<T, AssetError> {
+    let done = tokio::task::spawn_blocking(work).await;
+    done.unwrap_or_else(|error| Err(AssetError::Fetch { id, fault: error.to_string() }))
 }
 
 #[cfg(test)]
 mod tests {
+    use mr360_protocol::codec::Message as _;
+    use mr360_protocol::scene::{Object, ObjectId, Scene, Transform};
+    use mr360_protocol::transport;
+
     use super::*;
 
-    #[test]
-    fn the_cache_returns_what_is_whole_alone() {
-        let folder = tempfile::tempdir().unwrap();
-        let cache = AssetCache::new(folder.path());
-        let id = AssetId::of(b"model");
-        assert_eq!(cache.load(id), None);
-        cache.store(id, b"model");
-        assert_eq!(cache.load(id).as_deref(), Some(&b"model"[..]));
-        std::fs::write(cache.path(id), b"mouldy").unwrap();
-        assert_eq!(cache.load(id), None);
+    fn scene(id: AssetId) -> SceneMessage {
+        let object = Object { id: ObjectId(1), geometry: Geometry::Model(id), transform: Transform::default(), material: None };
+        let message = SceneMessage::Snapshot(Scene { objects: vec![object], ..Scene::default() });
+        message.to_wire().unwrap();
+        message
     }
 
     #[test]
-    fn a_cache_that_cannot_be_written_is_no_error() {
+    fn what_came_damaged_is_fetched_again_and_kept() {
         let folder = tempfile::tempdir().unwrap();
-        let file = folder.path().join("file");
-        std::fs::write(&file, b"").unwrap();
-        AssetCache::new(&file).store(AssetId::of(b"x"), b"x");
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+        runtime.block_on(async {
+            let origin = transport::origin();
+            let broadcast = origin.create_broadcast("test").unwrap();
+            let model = b"no glTF, but itself";
+            let id = AssetId::of(model);
+            let mut track = broadcast.create_track(id.track(), track::asset_info()).unwrap();
+            track.write_frame(moq_net::Timestamp::now(), Bytes::from_static(b"damaged")).unwrap();
+            let (events, mut received) = mpsc::channel(4);
+            let mut fetcher = AssetFetcher::new(broadcast.consume(), folder.path(), events);
+            fetcher.backoff = Backoff { first: Duration::from_millis(1), longest: Duration::from_millis(2) };
+            fetcher.want(&scene(id));
+            assert!(matches!(received.recv().await, Some(Event::AssetFailed(of, AssetError::WrongHash { .. })) if of == id));
+            track.write_frame(moq_net::Timestamp::now(), Bytes::from_static(model)).unwrap();
+            let Some(Event::Asset { id: of, bytes, model: Err(_) }) = received.recv().await else { panic!("no asset") };
+            assert_eq!((of, bytes), (id, model.len()));
+            assert_eq!(AssetCache::new(folder.path()).load(id).as_deref(), Some(&model[..]));
+        });
     }
 }

@@ -4,12 +4,14 @@
 //! as [`Event`]s on one bounded channel: a client that does not drain it holds up its own subscriptions alone,
 //! and the transport then drops its stale groups.
 
+mod asset_cache;
 mod assets;
 mod follow;
 mod media;
 mod user;
 
-pub use assets::{AssetCache, AssetError};
+pub use asset_cache::AssetCache;
+pub use assets::AssetError;
 pub use user::User;
 
 use bytes::Bytes;
@@ -23,10 +25,13 @@ use tokio::sync::mpsc;
 
 use crate::audio::AudioFormat;
 use crate::decode::{AccessUnit, VideoFormat};
+use crate::scene::model::LoadedModel;
 use crate::sync::ClientClock;
 
 /// Events waiting to be taken: three seconds of a busy broadcast.
 const EVENT_QUEUE: usize = 512;
+/// Wishes waiting to be sent: a drag of several seconds.
+const INTENT_QUEUE: usize = 512;
 
 /// What the network brings.
 #[derive(Debug)]
@@ -61,9 +66,16 @@ pub enum Event {
     },
     /// A snapshot or delta of the scene.
     Scene(SceneMessage),
-    /// A model that the scene names, verified.
-    Asset(AssetId, Bytes),
-    /// A model that could not be had; its object is left out.
+    /// A model that the scene names, verified and read.
+    Asset {
+        /// Its name.
+        id: AssetId,
+        /// Its size, bytes.
+        bytes: usize,
+        /// The model, or why it cannot be drawn.
+        model: LoadedModel,
+    },
+    /// A model that could not be had yet; its objects are left out until it comes.
     AssetFailed(AssetId, AssetError),
     /// A message that was refused; the session goes on.
     Refused(String),
@@ -115,7 +127,7 @@ pub struct Config {
 /// The running network side.
 pub struct Receiver {
     runtime: Option<tokio::runtime::Runtime>,
-    intents: mpsc::UnboundedSender<Intent>,
+    intents: mpsc::Sender<Intent>,
 }
 
 impl Receiver {
@@ -126,7 +138,7 @@ impl Receiver {
     pub fn start(config: Config, clock: ClientClock) -> anyhow::Result<(Self, mpsc::Receiver<Event>)> {
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).thread_name("receive").enable_all().build()?;
         let (events, receiver) = mpsc::channel(EVENT_QUEUE);
-        let (intents, intent_receiver) = mpsc::unbounded_channel();
+        let (intents, intent_receiver) = mpsc::channel(INTENT_QUEUE);
         let guard = runtime.enter();
         let dialer = Dialer::new(config.join.endpoint.clone(), config.join.fingerprint)?;
         let (broadcasts, ours) = (transport::origin(), transport::origin());
@@ -173,4 +185,23 @@ async fn run(
     };
     // Nobody is left to be told when this fails.
     let _ = events.send(Event::Ended(end)).await;
+}
+
+#[cfg(test)]
+mod tests {
+    use mr360_protocol::scene::{Action, ObjectId};
+
+    use super::*;
+
+    #[test]
+    fn wishes_that_nobody_takes_do_not_pile_up() {
+        let (intents, mut waiting) = mpsc::channel(2);
+        let user = User::new(intents);
+        (0..4).for_each(|object| user.wish(Action::Grab(ObjectId(object))));
+        let taken = [waiting.try_recv(), waiting.try_recv()].map(|intent| intent.unwrap().action);
+        assert_eq!(taken, [0, 1].map(|object| Action::Grab(ObjectId(object))));
+        assert!(waiting.try_recv().is_err());
+        user.wish(Action::Release(ObjectId(0)));
+        assert_eq!(waiting.try_recv().unwrap().action, Action::Release(ObjectId(0)));
+    }
 }

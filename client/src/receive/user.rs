@@ -14,24 +14,26 @@ const INTENTS_PER_GROUP: usize = 4096;
 /// Sends wishes; the server decides.
 #[derive(Clone)]
 pub struct User {
-    intents: mpsc::UnboundedSender<Intent>,
+    intents: mpsc::Sender<Intent>,
     sequence: Arc<AtomicU64>,
 }
 
 impl User {
-    pub(super) fn new(intents: mpsc::UnboundedSender<Intent>) -> Self {
+    pub(super) fn new(intents: mpsc::Sender<Intent>) -> Self {
         Self { intents, sequence: Arc::default() }
     }
 
-    /// Sends one wish. Never blocks; while the link is down wishes wait for it.
+    /// Sends one wish. Never blocks; while the link is down wishes wait for it, the first few hundred.
     pub fn wish(&self, action: Action) {
         let sequence = self.sequence.fetch_add(1, Ordering::Relaxed) + 1;
         // A receiver that has ended takes no more wishes, and its end was reported.
-        let _ = self.intents.send(Intent { sequence, action });
+        if let Err(mpsc::error::TrySendError::Full(lost)) = self.intents.try_send(Intent { sequence, action }) {
+            tracing::debug!(?lost, "too many wishes wait; the newest is dropped");
+        }
     }
 }
 
-pub(super) async fn publish(origin: moq_net::origin::Producer, room: String, user: String, mut intents: mpsc::UnboundedReceiver<Intent>) {
+pub(super) async fn publish(origin: moq_net::origin::Producer, room: String, user: String, mut intents: mpsc::Receiver<Intent>) {
     let result: anyhow::Result<()> = async {
         let broadcast = origin.create_broadcast(track::user_path(&room, &user))?;
         let track = broadcast.create_track(track::INTENT, track::scene_info())?;

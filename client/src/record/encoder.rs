@@ -129,6 +129,6 @@ fn failure(path: &str, action: &'static str, source: ffmpeg::Error) -> RecordErr
     let path = path.to_owned();
     match source {
         ffmpeg::Error::Other { errno } if errno == ffmpeg::error::ENOSPC => RecordError::DiskFull { path },
-        source => RecordError::Ffmpeg { path, action, source },
+        fault => RecordError::Ffmpeg { path, action, fault },
     }
 }

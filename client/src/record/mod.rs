@@ -48,14 +48,14 @@ pub enum RecordError {
         path: String,
     },
     /// Anything else FFmpeg reports.
-    #[error("{path}: {action} failed ({source}); check that the folder exists and can be written to")]
+    #[error("{path}: {action} failed ({fault}); check that the folder exists and can be written to")]
     Ffmpeg {
         /// The file.
         path: String,
         /// What was tried.
         action: &'static str,
         /// FFmpeg's error.
-        source: ffmpeg::Error,
+        fault: ffmpeg::Error,
     },
     /// The frame does not have the size that the recording began with.
     #[error("frame of {got} bytes given to a recording of {width}×{height} RGBA")]

@@ -1,5 +1,7 @@
 //! Numbers out of a glTF file's buffers, with every bound checked.
 
+use std::borrow::Cow;
+
 use gltf::accessor::{DataType, Dimensions};
 
 use super::model::ModelError;
@@ -14,7 +16,7 @@ pub const MAX_ELEMENTS: usize = 8_000_000;
 /// holds too much, or a value is not finite.
 pub fn floats<const N: usize>(
     accessor: &gltf::Accessor<'_>,
-    buffers: &[Vec<u8>],
+    buffers: &[Cow<'_, [u8]>],
     used_as: &'static str,
 ) -> Result<Vec<[f32; N]>, ModelError> {
     let fault = |fault: String| ModelError::Accessor { index: accessor.index(), used_as, fault };
@@ -56,7 +58,7 @@ pub fn floats<const N: usize>(
 /// As [`floats`], and for signed or floating components.
 pub fn integers<const N: usize>(
     accessor: &gltf::Accessor<'_>,
-    buffers: &[Vec<u8>],
+    buffers: &[Cow<'_, [u8]>],
     used_as: &'static str,
 ) -> Result<Vec<[u32; N]>, ModelError> {
     let fault = |fault: String| ModelError::Accessor { index: accessor.index(), used_as, fault };
@@ -98,7 +100,7 @@ fn outside(view: &gltf::buffer::View<'_>) -> String {
 }
 
 /// The bytes of a buffer view.
-pub(crate) fn slice<'a>(view: &gltf::buffer::View<'_>, buffers: &'a [Vec<u8>]) -> Option<&'a [u8]> {
+pub(crate) fn slice<'a>(view: &gltf::buffer::View<'_>, buffers: &'a [Cow<'_, [u8]>]) -> Option<&'a [u8]> {
     buffers.get(view.buffer().index())?.get(view.offset()..view.offset().checked_add(view.length())?)
 }
 
@@ -129,7 +131,7 @@ fn component_value(bytes: &[u8], data_type: DataType, normalized: bool) -> Optio
 fn overlay<const N: usize>(
     sparse: &gltf::accessor::sparse::Sparse<'_>,
     accessor: &gltf::Accessor<'_>,
-    buffers: &[Vec<u8>],
+    buffers: &[Cow<'_, [u8]>],
     out: &mut [[f32; N]],
 ) -> Option<()> {
     use gltf::accessor::sparse::IndexType;

@@ -1,5 +1,7 @@
 //! Surfaces and textures of a model.
 
+use std::borrow::Cow;
+
 use base64::Engine as _;
 use glam::Vec3;
 use mr360_shaders::colour::{srgb_decode, srgb_encode};
@@ -11,6 +13,8 @@ use super::model::ModelError;
 pub const MAX_TEXTURE_SIDE: u32 = 4096;
 /// Most images that a model may use.
 pub const MAX_IMAGES: usize = 32;
+/// Most pixels in all textures together, without their mips: eight of the largest. A few kilobytes of PNG can claim as many.
+pub const MAX_TEXELS: u64 = 8 * MAX_TEXTURE_SIDE as u64 * MAX_TEXTURE_SIDE as u64;
 
 /// Metallic-roughness of one part.
 #[derive(Debug, Clone, PartialEq)]
@@ -49,13 +53,13 @@ pub struct Texture {
 /// Reads materials and the images they use; asks for each image once for each way it is used.
 pub(super) struct Materials<'a> {
     document: &'a gltf::Document,
-    buffers: &'a [Vec<u8>],
+    buffers: &'a [Cow<'a, [u8]>],
     pub(super) textures: Vec<Texture>,
     read: Vec<(usize, bool)>,
 }
 
 impl<'a> Materials<'a> {
-    pub(super) fn new(document: &'a gltf::Document, buffers: &'a [Vec<u8>]) -> Self {
+    pub(super) fn new(document: &'a gltf::Document, buffers: &'a [Cow<'a, [u8]>]) -> Self {
         Self { document, buffers, textures: Vec::new(), read: Vec::new() }
     }
 
@@ -93,14 +97,16 @@ impl<'a> Materials<'a> {
         if self.textures.len() >= MAX_IMAGES {
             return Err(fault(format!("more than {MAX_IMAGES} images are used")));
         }
+        let taken: u64 = self.textures.iter().map(|texture| u64::from(texture.width) * u64::from(texture.height)).sum();
+        let room = MAX_TEXELS.saturating_sub(taken);
         let source = self.document.images().nth(image).ok_or_else(|| fault("does not exist".to_owned()))?;
         let pixels = match source.source() {
             gltf::image::Source::View { view, .. } => {
                 let bytes =
                     slice(&view, self.buffers).ok_or_else(|| fault(format!("buffer view {} lies outside of its buffer", view.index())))?;
-                decode(bytes)
+                decode(bytes, room)
             }
-            gltf::image::Source::Uri { uri, .. } => decode(&data_uri(uri).map_err(fault)?),
+            gltf::image::Source::Uri { uri, .. } => decode(&data_uri(uri).map_err(fault)?, room),
         };
         let (width, height, pixels) = pixels.map_err(fault)?;
         self.textures.push(with_mips(width, height, pixels, srgb));
@@ -117,16 +123,26 @@ pub(super) fn data_uri(uri: &str) -> Result<Vec<u8>, String> {
     base64::engine::general_purpose::STANDARD.decode(text).map_err(|error| format!("has broken base64: {error}"))
 }
 
-fn decode(bytes: &[u8]) -> Result<(u32, u32, Vec<u8>), String> {
-    let mut reader = image::ImageReader::new(std::io::Cursor::new(bytes)).with_guessed_format().map_err(|error| error.to_string())?;
+/// Decodes a PNG or JPEG of at most `room` pixels; its size is known before anything is allocated for it.
+fn decode(bytes: &[u8], room: u64) -> Result<(u32, u32, Vec<u8>), String> {
+    let open = || image::ImageReader::new(std::io::Cursor::new(bytes)).with_guessed_format().map_err(|error| error.to_string());
+    let reader = open()?;
     if !matches!(reader.format(), Some(image::ImageFormat::Png | image::ImageFormat::Jpeg)) {
         return Err("neither PNG nor JPEG".to_owned());
     }
+    let (width, height) = reader.into_dimensions().map_err(|error| error.to_string())?;
+    if width > MAX_TEXTURE_SIDE || height > MAX_TEXTURE_SIDE {
+        return Err(format!("{width}×{height} pixels; at most {MAX_TEXTURE_SIDE} pixels on a side are read"));
+    }
+    if u64::from(width) * u64::from(height) > room {
+        return Err(format!("brings the textures to more than {MAX_TEXELS} pixels; use smaller images"));
+    }
+    let mut reader = open()?;
     let mut limits = image::Limits::default();
     limits.max_image_width = Some(MAX_TEXTURE_SIDE);
     limits.max_image_height = Some(MAX_TEXTURE_SIDE);
     reader.limits(limits);
-    let pixels = reader.decode().map_err(|error| format!("{error}; at most {MAX_TEXTURE_SIDE} pixels on a side are read"))?.into_rgba8();
+    let pixels = reader.decode().map_err(|error| error.to_string())?.into_rgba8();
     Ok((pixels.width(), pixels.height(), pixels.into_raw()))
 }
 
@@ -156,4 +172,23 @@ fn with_mips(width: u32, height: u32, pixels: Vec<u8>, srgb: bool) -> Texture {
     let last = levels.last().map_or([255; 4], |level| [0, 1, 2, 3].map(|i| level.get(i).copied().unwrap_or(255)));
     let mean = Vec3::from_array([0, 1, 2].map(|i| to_linear[usize::from(last[i])]));
     Texture { width, height, levels, srgb, mean }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_image_takes_no_more_than_the_room_that_is_left() {
+        let mut png = std::io::Cursor::new(Vec::new());
+        image::RgbImage::from_pixel(8, 4, image::Rgb([200, 0, 0])).write_to(&mut png, image::ImageFormat::Png).unwrap();
+        let (width, height, texels) = decode(png.get_ref(), 32).unwrap();
+        assert_eq!((width, height, texels.len()), (8, 4, 128));
+        let error = decode(png.get_ref(), 31).unwrap_err();
+        assert!(error.contains("more than") && error.contains("smaller images"), "{error}");
+        let wide = image::GrayImage::new(MAX_TEXTURE_SIDE + 1, 1);
+        let mut png = std::io::Cursor::new(Vec::new());
+        wide.write_to(&mut png, image::ImageFormat::Png).unwrap();
+        assert!(decode(png.get_ref(), MAX_TEXELS).unwrap_err().contains("4097×1"));
+    }
 }

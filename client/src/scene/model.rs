@@ -3,6 +3,9 @@
 //! Nodes' transforms and skins in their rest pose are worked into the vertices. Everything is bounded and
 //! checked; an error names the element.
 
+use std::borrow::Cow;
+use std::sync::Arc;
+
 use glam::{Mat3, Mat4, Vec3};
 use mr360_shaders::layout::Vertex;
 
@@ -98,6 +101,9 @@ pub enum ModelError {
     Empty,
 }
 
+/// A model that was read, or why it cannot be drawn.
+pub type LoadedModel = Result<Arc<Model>, ModelError>;
+
 /// A part of a model with one surface.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Part {
@@ -119,6 +125,14 @@ pub struct Model {
 }
 
 impl Model {
+    /// Bytes of memory that vertices, indices and textures take.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        let meshes = self.parts.iter().map(|part| size_of_val(&part.mesh.vertices[..]) + size_of_val(&part.mesh.indices[..]));
+        let levels = self.textures.iter().flat_map(|texture| &texture.levels);
+        meshes.chain(levels.map(Vec::len)).sum()
+    }
+
     /// Reads a model.
     ///
     /// # Errors
@@ -187,7 +201,8 @@ fn guard(root: &gltf::json::Root) -> Result<(), ModelError> {
     }
 }
 
-fn buffers(document: &gltf::Document, binary: Option<&[u8]>) -> Result<Vec<Vec<u8>>, ModelError> {
+/// The declared bytes of every buffer. The binary chunk is lent out, not copied: many buffers may claim it.
+fn buffers<'a>(document: &gltf::Document, binary: Option<&'a [u8]>) -> Result<Vec<Cow<'a, [u8]>>, ModelError> {
     let mut total = 0;
     let mut out = Vec::new();
     for buffer in document.buffers() {
@@ -197,8 +212,12 @@ fn buffers(document: &gltf::Document, binary: Option<&[u8]>) -> Result<Vec<Vec<u
             return Err(fault(format!("brings the buffers to more than {MAX_BUFFER_BYTES} bytes; simplify the model")));
         }
         let bytes = match buffer.source() {
-            gltf::buffer::Source::Bin => binary.ok_or_else(|| fault("is missing: the file has no binary chunk".to_owned()))?.to_vec(),
-            gltf::buffer::Source::Uri(uri) => data_uri(uri).map_err(fault)?,
+            // glTF 2.0, Sec. 4.4.3.2: the first buffer alone may be the binary chunk.
+            gltf::buffer::Source::Bin if buffer.index() > 0 => {
+                return Err(fault("has no URI; only the first buffer may be the file's binary chunk".to_owned()));
+            }
+            gltf::buffer::Source::Bin => Cow::Borrowed(binary.ok_or_else(|| fault("is missing: the file has no binary chunk".to_owned()))?),
+            gltf::buffer::Source::Uri(uri) => Cow::Owned(data_uri(uri).map_err(fault)?),
         };
         if bytes.len() < buffer.length() {
             return Err(fault(format!("holds {} bytes where {} are declared; the file is cut short", bytes.len(), buffer.length())));
@@ -239,7 +258,7 @@ fn world_transforms(document: &gltf::Document) -> Result<Vec<Option<Mat4>>, Mode
 
 struct Importer<'a> {
     materials: Materials<'a>,
-    buffers: &'a [Vec<u8>],
+    buffers: &'a [Cow<'a, [u8]>],
     parts: Vec<Part>,
     vertices: usize,
 }

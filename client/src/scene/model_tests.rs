@@ -60,6 +60,25 @@ fn both_containers_give_the_same_triangle() {
 }
 
 #[test]
+fn the_binary_chunk_belongs_to_the_first_buffer_alone() {
+    let (mut json, bytes) = triangle();
+    // The chunk may be longer than what is declared, by its padding for instance.
+    json["buffers"][0]["byteLength"] = json!(42);
+    assert!(Model::parse(&glb(&json, &bytes)).is_ok());
+    // Each of these would otherwise be a copy of the whole chunk.
+    json["buffers"].as_array_mut().unwrap().extend((0..60).map(|_| json!({ "byteLength": 36 })));
+    let error = Model::parse(&glb(&json, &bytes)).unwrap_err().to_string();
+    assert!(error.contains("buffer 1") && error.contains("only the first buffer"), "{error}");
+}
+
+#[test]
+fn a_model_knows_what_it_takes() {
+    let (json, bytes) = triangle();
+    // Three vertices of position, normal and texture coordinates, three indices.
+    assert_eq!(Model::parse(&glb(&json, &bytes)).unwrap().bytes(), 3 * 32 + 3 * 4);
+}
+
+#[test]
 fn nodes_place_and_mirrored_nodes_keep_their_outside() {
     let (mut json, bytes) = triangle();
     json["nodes"] = json!([{ "children": [1], "translation": [0, 0, 5] }, { "mesh": 0, "scale": [-2, 1, 1] }]);

@@ -70,10 +70,10 @@ pub struct LightTimes {
 
 /// Why statistics cannot be written.
 #[derive(Debug, thiserror::Error)]
-#[error("{path}: statistics cannot be written ({source}); check that the folder exists, can be written to, and has space")]
+#[error("{path}: statistics cannot be written ({fault}); check that the folder exists, can be written to, and has space")]
 pub struct StatsError {
     path: String,
-    source: std::io::Error,
+    fault: std::io::Error,
 }
 
 struct Csv {
@@ -89,6 +89,8 @@ struct Csv {
 pub struct Stats {
     csv: Option<Csv>,
     stages: StageTimes,
+    /// Names of the GPU's passes as stages, made once: frames make no texts.
+    gpu_stages: Vec<(&'static str, String)>,
     tracks: BTreeMap<String, (u64, u64)>,
     frames: u64,
     pictures: u64,
@@ -105,7 +107,7 @@ impl Stats {
     pub fn open(path: Option<&Path>, passes: &'static [&'static str]) -> Result<Self, StatsError> {
         let csv = path
             .map(|path| {
-                let file = File::create(path).map_err(|source| StatsError { path: path.display().to_string(), source })?;
+                let file = File::create(path).map_err(|fault| StatsError { path: path.display().to_string(), fault })?;
                 Ok(Csv { path: path.display().to_string(), file: BufWriter::new(file), passes, header_written: false })
             })
             .transpose()?;
@@ -166,7 +168,11 @@ impl Stats {
         stage("view (begun → submitted)", times.begun, times.rendered);
         stage("present (submitted → presented)", times.rendered, times.presented);
         for pass in passes.iter().filter(|pass| pass.gpu_ms.is_finite() && pass.gpu_ms >= 0.0) {
-            self.stages.record(&format!("gpu {}", pass.name), (f64::from(pass.gpu_ms) * 1_000.0) as u64);
+            let at = self.gpu_stages.iter().position(|(name, _)| *name == pass.name).unwrap_or_else(|| {
+                self.gpu_stages.push((pass.name, format!("gpu {}", pass.name)));
+                self.gpu_stages.len() - 1
+            });
+            self.stages.record(&self.gpu_stages[at].1, (f64::from(pass.gpu_ms) * 1_000.0) as u64);
         }
         self.write_row(times, passes);
     }
@@ -174,8 +180,8 @@ impl Stats {
     fn write_row(&mut self, times: &FrameTimes, passes: &[PassTime]) {
         let (drops, decode) = (self.drops, self.decode);
         let Some(csv) = self.csv.as_mut() else { return };
-        if let Err(source) = csv.write(times, passes, drops, decode) {
-            tracing::error!("{}; going on without", StatsError { path: csv.path.clone(), source });
+        if let Err(fault) = csv.write(times, passes, drops, decode) {
+            tracing::error!("{}; going on without", StatsError { path: csv.path.clone(), fault });
             self.csv = None;
         }
     }
@@ -186,7 +192,7 @@ impl Stats {
     /// [`StatsError`] when the rest cannot be written.
     pub fn finish(mut self) -> Result<Summary, StatsError> {
         if let Some(csv) = self.csv.as_mut() {
-            csv.file.flush().map_err(|source| StatsError { path: csv.path.clone(), source })?;
+            csv.file.flush().map_err(|fault| StatsError { path: csv.path.clone(), fault })?;
         }
         Ok(Summary(self))
     }
@@ -204,7 +210,6 @@ impl Csv {
         }
         let network = times.light.map(|light| light.arrived.0.saturating_sub(light.published.0));
         let light_age = times.light.map(|light| times.presented.0.saturating_sub(light.published.0));
-        let optional = |value: Option<u64>| value.map_or(String::new(), |value| value.to_string());
         let [_, _, errors, _, backlog, superseded] = decode;
         write!(
             self.file,
@@ -213,14 +218,14 @@ impl Csv {
             times.pts_us,
             times.arrived.0,
             times.decoded.0,
-            optional(times.light.map(|light| light.pts_us)),
-            optional(times.light.map(|light| light.arrived.0)),
+            Cell(times.light.map(|light| light.pts_us)),
+            Cell(times.light.map(|light| light.arrived.0)),
             times.paired.0,
             times.uploaded.0,
             times.rendered.0,
             times.presented.0,
-            optional(network),
-            optional(light_age),
+            Cell(network),
+            Cell(light_age),
             times.presented.0.saturating_sub(times.arrived.0),
             times.playout_delay_us,
             drops.superseded,
@@ -236,6 +241,15 @@ impl Csv {
             }
         }
         writeln!(self.file)
+    }
+}
+
+/// A value of the file, or nothing.
+struct Cell(Option<u64>);
+
+impl fmt::Display for Cell {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.map_or(Ok(()), |value| write!(f, "{value}"))
     }
 }
 
@@ -335,7 +349,10 @@ mod tests {
             stats.presented(&times(frame), &[]);
         }
         assert_eq!(stats.finish().unwrap().frames(), 1_000);
-        let error = Stats::open(Some(Path::new("/nowhere/stats.csv")), &[]).err().unwrap().to_string();
+        let error = Stats::open(Some(Path::new("/nowhere/stats.csv")), &[]).err().unwrap();
+        // As the program prints it, with all causes.
+        let error = format!("{:#}", anyhow::Error::from(error));
         assert!(error.contains("/nowhere/stats.csv") && error.contains("folder"), "{error}");
+        assert_eq!(error.matches("No such file").count(), 1, "{error}");
     }
 }

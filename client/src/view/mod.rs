@@ -18,8 +18,6 @@ mod stage;
 mod tests;
 pub mod timing;
 
-use std::sync::Arc;
-
 use glam::Vec3;
 use mr360_protocol::asset::AssetId;
 use mr360_protocol::light::LightFrame;
@@ -29,15 +27,17 @@ use mr360_shaders::layout;
 use crate::camera::Camera;
 use crate::environment::{Environment, FrameLight};
 use crate::gpu::{Gpu, GpuError};
+use crate::scene::model::LoadedModel;
 use crate::scene::pick::{Ray, nearest};
+use crate::stats::PassTime;
 
 pub use plan::Plan;
 pub use stage::{ModelFault, SceneWarning};
-pub use timing::PassTime;
 
 use extent::{Part, touched};
 use models::Models;
 use pipelines::{Kind, Layouts, Pipelines, Use};
+use plan::SceneNeeds;
 use resources::{Layer, Resources, VIEW_STRIDE};
 use shadows::Frustum;
 use stage::Stage;
@@ -81,6 +81,7 @@ pub struct Renderer {
     stage: Stage,
     light: FrameLight,
     light_changed: bool,
+    visible: bool,
     layers: Vec<Layer>,
     timer: PassTimer,
 }
@@ -98,18 +99,23 @@ impl Renderer {
         let models = Models::new(gpu, &layouts.material);
         let timer = PassTimer::new(gpu);
         let (stage, light) = (Stage::default(), FrameLight::default());
-        Ok(Self { layouts, pipelines, resources, models, stage, light, light_changed: true, layers: Vec::new(), timer })
+        Ok(Self { layouts, pipelines, resources, models, stage, light, light_changed: true, visible: true, layers: Vec::new(), timer })
     }
 
-    /// Shows this scene from the next frame on. Geometry stays on the GPU while some object shows it. `asset` gives
-    /// a model's bytes, or `None` while they have not come: call again then. Objects without a usable model are
-    /// left out; the warnings say why.
-    pub fn set_scene(&mut self, gpu: &Gpu, scene: &Scene, asset: &dyn Fn(AssetId) -> Option<Arc<[u8]>>) -> Vec<SceneWarning> {
-        self.models.follow(gpu, scene, asset);
+    /// Shows this scene from the next frame on. Geometry stays on the GPU while some object shows it. `model` gives
+    /// a model, or `None` while it has not come: call again then. Objects without a usable model are left out; the
+    /// warnings say why.
+    pub fn set_scene(&mut self, gpu: &Gpu, scene: &Scene, model: &dyn Fn(AssetId) -> Option<LoadedModel>) -> Vec<SceneWarning> {
+        self.models.follow(gpu, scene, model);
         let (stage, warnings) = Stage::new(scene, &self.models);
         self.resources.write_scene(gpu, &self.layouts, &stage);
         self.stage = stage;
         warnings
+    }
+
+    /// Shows or hides all objects from the next frame on. Hidden ones stay on the GPU and cannot be picked.
+    pub fn set_visible(&mut self, visible: bool) {
+        self.visible = visible;
     }
 
     /// Takes the light that belongs to the environment's picture.
@@ -121,7 +127,7 @@ impl Renderer {
     /// The nearest object along a ray and where it is met.
     #[must_use]
     pub fn pick(&self, ray: &Ray) -> Option<(ObjectId, Vec3)> {
-        nearest(ray, self.stage.targets.iter().copied())
+        nearest(ray, self.stage.targets.iter().copied().filter(|_| self.visible))
     }
 
     /// Records one frame: shadow maps and reflections once, then each view. At most [`MAX_VIEWS`] are drawn.
@@ -134,7 +140,8 @@ impl Renderer {
     ) -> FrameReport {
         self.timer.collect(gpu);
         let views = views.get(..MAX_VIEWS).unwrap_or(views);
-        let plan = Plan::new(self.stage.needs, &self.light);
+        let needs = if self.visible { self.stage.needs } else { SceneNeeds::default() };
+        let plan = Plan::new(needs, &self.light);
         if std::mem::take(&mut self.light_changed) {
             environment.set_light(&self.light);
         }

@@ -1,7 +1,6 @@
 //! Geometry on the GPU, once for each shape or model, whatever the number of objects that show it.
 
 use std::collections::HashMap;
-use std::sync::Arc;
 
 use glam::Vec3;
 use mr360_protocol::asset::AssetId;
@@ -11,7 +10,7 @@ use wgpu::util::DeviceExt as _;
 use crate::gpu::Gpu;
 use crate::scene::material::{Surface, Texture};
 use crate::scene::mesh::{Bounds, Mesh};
-use crate::scene::model::{Model, ModelError};
+use crate::scene::model::{LoadedModel, Model, ModelError};
 use crate::scene::shapes;
 
 /// One draw's worth of geometry.
@@ -59,22 +58,22 @@ impl Models {
         Self { layout: layout.clone(), sampler, white, plain, loaded: HashMap::new() }
     }
 
-    /// Loads what the scene newly names and drops what it no longer does. A model whose asset has not come yet
-    /// is tried again at the next call; a broken one is not.
-    pub(super) fn follow(&mut self, gpu: &Gpu, scene: &Scene, asset: &dyn Fn(AssetId) -> Option<Arc<[u8]>>) {
+    /// Uploads what the scene newly names and drops what it no longer does. A model that has not come yet is asked
+    /// for again at the next call; a broken one is not.
+    pub(super) fn follow(&mut self, gpu: &Gpu, scene: &Scene, model: &dyn Fn(AssetId) -> Option<LoadedModel>) {
         self.loaded.retain(|geometry, _| scene.objects.iter().any(|object| object.geometry == *geometry));
         for object in &scene.objects {
             if self.loaded.contains_key(&object.geometry) {
                 continue;
             }
-            let model = match object.geometry {
+            let loaded = match object.geometry {
                 Geometry::Shape(shape) => Ok(self.shape(gpu, shape)),
-                Geometry::Model(id) => match asset(id) {
-                    Some(bytes) => Model::parse(&bytes).map(|model| self.model(gpu, model)),
+                Geometry::Model(id) => match model(id) {
+                    Some(model) => model.map(|model| self.model(gpu, &model)),
                     None => continue,
                 },
             };
-            self.loaded.insert(object.geometry, model);
+            self.loaded.insert(object.geometry, loaded);
         }
     }
 
@@ -103,7 +102,7 @@ impl Models {
         GpuModel { parts: vec![part(gpu, &mesh, surface, self.plain.clone())], bounds, round: shape == Shape::Sphere, albedo }
     }
 
-    fn model(&self, gpu: &Gpu, model: Model) -> GpuModel {
+    fn model(&self, gpu: &Gpu, model: &Model) -> GpuModel {
         let Model { parts, textures, bounds } = model;
         let views: Vec<_> = textures.iter().map(|texture| upload(gpu, texture)).collect();
         let view = |at: Option<usize>| at.and_then(|at| views.get(at)).unwrap_or(&self.white);
@@ -115,9 +114,9 @@ impl Models {
             albedo += one.surface.base_color * mean * (one.mesh.indices.len() as f32 / total);
             let (color, metallic_roughness) = (view(one.surface.base_color_texture), view(one.surface.metallic_roughness_texture));
             let group = material_group(&gpu.device, &self.layout, color, metallic_roughness, &self.sampler);
-            gpu_parts.push(part(gpu, &one.mesh, one.surface, group));
+            gpu_parts.push(part(gpu, &one.mesh, one.surface.clone(), group));
         }
-        GpuModel { parts: gpu_parts, bounds, round: false, albedo }
+        GpuModel { parts: gpu_parts, bounds: *bounds, round: false, albedo }
     }
 }
 

@@ -229,16 +229,24 @@ fn untouched_pixels_have_the_same_bits_and_removal_restores_all() {
     environment.upload(&gpu, &picture).unwrap();
     let mut renderer = Renderer::new(&gpu, wgpu::TextureFormat::Rgba8Unorm).unwrap();
     renderer.set_light(&light);
-    let mut frame = |objects: Vec<Object>| {
-        assert!(renderer.set_scene(&gpu, &scene(objects), &|_| None).is_empty());
+    let mut frame = |change: &mut dyn FnMut(&mut Renderer)| {
+        change(&mut renderer);
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         renderer.render(&gpu, &mut encoder, &mut environment, &[View { camera: camera(), target: &view, size: SIZE }]);
         gpu.queue.submit([encoder.finish()]);
         gpu.read_texture(&target).unwrap()
     };
-    let (before, with, after) = (frame(vec![]), frame(objects), frame(vec![]));
+    let set = |objects: &[Object]| {
+        let scene = scene(objects.to_vec());
+        let gpu = &gpu;
+        move |renderer: &mut Renderer| assert!(renderer.set_scene(gpu, &scene, &|_| None).is_empty())
+    };
+    let (before, with) = (frame(&mut set(&[])), frame(&mut set(&objects)));
     assert_ne!(before, with);
-    assert_eq!(before, after);
+    // Hidden and shown again, without the scene being set again.
+    assert_eq!(before, frame(&mut |renderer| renderer.set_visible(false)));
+    assert_eq!(with, frame(&mut |renderer| renderer.set_visible(true)));
+    assert_eq!(before, frame(&mut set(&[])));
 }
 
 #[test]

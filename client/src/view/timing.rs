@@ -4,20 +4,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
 
 use crate::gpu::Gpu;
+use crate::stats::PassTime;
 
 /// Most passes that are timed in one frame.
 const MAX_PASSES: usize = 32;
 /// Frames whose times are on their way.
 const IN_FLIGHT: usize = 3;
-
-/// GPU time of one pass.
-#[derive(Debug, Clone, PartialEq)]
-pub struct PassTime {
-    /// Which.
-    pub name: &'static str,
-    /// Milliseconds.
-    pub gpu_ms: f32,
-}
 
 const FREE: u8 = 0;
 const RECORDED: u8 = 1;

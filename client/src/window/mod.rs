@@ -4,6 +4,7 @@
 mod controls;
 mod surface;
 
+use std::ffi::OsString;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -40,7 +41,7 @@ pub struct WindowOptions {
     pub frames: Option<u64>,
     /// Closes after so long.
     pub duration: Option<Duration>,
-    /// Closes when set, as by Ctrl-C.
+    /// Closes when set, as by Ctrl-C; set when the user closes the window.
     pub stop: Arc<AtomicBool>,
 }
 
@@ -82,14 +83,6 @@ pub enum WindowError {
     },
 }
 
-impl WindowError {
-    /// True when nothing was shown yet and the headless mode can take over.
-    #[must_use]
-    pub fn is_no_display(&self) -> bool {
-        matches!(self, Self::NoDisplay { .. })
-    }
-}
-
 /// Opens the GPU for a window, and again when it was lost.
 pub type Open<'a, S> = dyn FnMut(Arc<Window>) -> Result<WindowGraphics<S>, BoxError> + 'a;
 
@@ -104,7 +97,7 @@ pub fn run<S: Stage>(
     open: &mut Open<'_, S>,
     act: &mut dyn FnMut(UserAction),
 ) -> Result<u64, WindowError> {
-    require_display()?;
+    require_display(|name| std::env::var_os(name))?;
     let event_loop = EventLoop::new().map_err(|error| WindowError::NoDisplay { detail: error.to_string() })?;
     let first_frame = frames.frames();
     let mut app = App {
@@ -126,9 +119,9 @@ pub fn run<S: Stage>(
     Ok(frames.frames() - first_frame)
 }
 
-/// Says what is missing more clearly than the window system does.
-fn require_display() -> Result<(), WindowError> {
-    let set = |name| std::env::var_os(name).is_some_and(|value| !value.is_empty());
+/// Says what is missing more clearly than the window system does. `variable` reads the environment.
+fn require_display(variable: impl Fn(&str) -> Option<OsString>) -> Result<(), WindowError> {
+    let set = |name| variable(name).is_some_and(|value| !value.is_empty());
     if cfg!(all(unix, not(target_vendor = "apple"))) && !["DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"].into_iter().any(set) {
         return Err(WindowError::NoDisplay { detail: "there is no display".to_owned() });
     }
@@ -221,12 +214,17 @@ impl<S: Stage> App<'_, S> {
         event_loop.exit();
     }
 
+    fn closed_by_user(&mut self, event_loop: &ActiveEventLoop) {
+        self.options.stop.store(true, Ordering::Relaxed);
+        self.end(event_loop, Ok(()));
+    }
+
     fn key(&mut self, event_loop: &ActiveEventLoop, event: &KeyEvent) {
         if event.state != ElementState::Pressed || event.repeat {
             return;
         }
         match event.physical_key {
-            PhysicalKey::Code(KeyCode::Escape) => self.end(event_loop, Ok(())),
+            PhysicalKey::Code(KeyCode::Escape) => self.closed_by_user(event_loop),
             PhysicalKey::Code(KeyCode::KeyR) => self.controls.reset(),
             PhysicalKey::Code(KeyCode::F11) => {
                 if let Some(shown) = &self.shown {
@@ -252,7 +250,7 @@ impl<S: Stage> ApplicationHandler for App<'_, S> {
 
     fn window_event(&mut self, event_loop: &ActiveEventLoop, _window: WindowId, event: WindowEvent) {
         match event {
-            WindowEvent::CloseRequested => self.end(event_loop, Ok(())),
+            WindowEvent::CloseRequested => self.closed_by_user(event_loop),
             WindowEvent::Resized(size) => {
                 self.controls.resized(size.width, size.height);
                 if let Some(shown) = self.shown.as_mut() {
@@ -299,10 +297,19 @@ impl<S: Stage> ApplicationHandler for App<'_, S> {
 mod tests {
     use super::*;
 
+    #[cfg(all(unix, not(target_vendor = "apple")))]
     #[test]
     fn a_missing_display_is_named_with_its_remedy() {
-        let error = WindowError::NoDisplay { detail: "there is no display".to_owned() };
-        assert!(error.is_no_display());
-        assert!(error.to_string().contains("DISPLAY") && error.to_string().contains("headless"));
+        let environment = |set: &'static [(&str, &str)]| {
+            require_display(move |name| set.iter().find(|(variable, _)| *variable == name).map(|(_, value)| OsString::from(value)))
+        };
+        for missing in [&[][..], &[("DISPLAY", ""), ("WAYLAND_DISPLAY", "")], &[("HOME", "/root")]] {
+            let error = environment(missing).unwrap_err();
+            assert!(matches!(error, WindowError::NoDisplay { .. }), "{missing:?}: {error}");
+            assert!(error.to_string().contains("DISPLAY") && error.to_string().contains("headless"), "{error}");
+        }
+        for there in [&[("DISPLAY", ":0")][..], &[("DISPLAY", ""), ("WAYLAND_DISPLAY", "wayland-0")], &[("WAYLAND_SOCKET", "7")]] {
+            assert!(environment(there).is_ok(), "{there:?}");
+        }
     }
 }
