@@ -144,7 +144,10 @@ impl StreamFrames {
                 self.over = true;
                 self.decoder.drain();
             }
-            Err(error) => return Err(IngestError::Lost { input: self.name.clone(), detail: error.to_string() }),
+            Err(error) => {
+                let detail = if self.watch.timed_out() { format!("no data for {SILENCE:?}") } else { error.to_string() };
+                return Err(IngestError::Lost { input: self.name.clone(), detail });
+            }
         }
         while let Ok(Some(picture)) = self.decoder.receive() {
             self.ready.push_back(picture);

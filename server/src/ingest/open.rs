@@ -55,7 +55,7 @@ pub(super) fn open(source: &Source, silence: Duration, watch: &Watch) -> Result<
 
 fn open_file(path: &Path, watch: &Watch) -> Result<format::context::Input, IngestError> {
     check_file(path)?;
-    watch.allow(FILE_PATIENCE);
+    watch.begin(FILE_PATIENCE);
     let interrupt = watch.clone();
     format::input_with_interrupt(path, move || interrupt.interrupts()).map_err(|error| {
         let input = path.display().to_string();
@@ -65,7 +65,7 @@ fn open_file(path: &Path, watch: &Watch) -> Result<format::context::Input, Inges
 
 fn open_address(address: &Address, silence: Duration, watch: &Watch) -> Result<format::context::Input, IngestError> {
     let attempt = |options| {
-        watch.allow(if address.listening { LISTEN_PATIENCE } else { silence.saturating_add(PROBE_PATIENCE) });
+        watch.begin(if address.listening { LISTEN_PATIENCE } else { silence.saturating_add(PROBE_PATIENCE) });
         let interrupt = watch.clone();
         format::input_with_interrupt_and_dictionary(&address.url, move || interrupt.interrupts(), options)
     };

@@ -168,10 +168,9 @@ impl<'a> Session<'a> {
             match packet.read(&mut self.opened.input) {
                 Ok(()) => (bad, silent) = (0, false),
                 Err(_) if self.shared.watch.stopped() => return Ok(End::Stopped),
-                // What an interrupted read ends with is the protocol's own affair: some say that the stream is over.
                 Err(_) if self.shared.watch.timed_out() => return Err(self.lost(&format!("no data for {:?}", self.silence))),
                 Err(Error::Eof) => return Ok(End::Over),
-                Err(Error::Other { errno }) if errno == ffmpeg_next::error::EAGAIN => {
+                Err(Error::Other { errno }) if errno == ffmpeg_next::error::EAGAIN && !self.shared.watch.interrupts() => {
                     silent = true;
                     self.shared.watch.sleep_until(Instant::now() + Duration::from_millis(5));
                     continue;
