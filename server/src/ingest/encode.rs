@@ -25,8 +25,8 @@ const LEAST_RATE: f64 = 1_000_000.0;
 /// that viewers wait for media (500 ms, `protocol::track`), with the other half left for the network.
 const LARGEST_PICTURE_S: f64 = 0.25;
 /// No picture that x264 makes is larger than its rate buffer; x265 takes its own for a guide. With this share of the room it keeps to noise over half
-/// of the range, even after a still picture; noise over all of it was measured 28 to 36 % above.
-const X265_BUFFER: f64 = 0.6;
+/// of the range, even after a still picture; noise over all of it was measured up to 28 % above.
+const X265_BUFFER: f64 = 0.4;
 
 /// What is encoded.
 #[derive(Debug, Clone, Copy, PartialEq)]
