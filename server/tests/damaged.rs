@@ -1,4 +1,5 @@
 //! Damaged files through the program itself: it recovers or says what is wrong, by the exit codes of the command line's contract, and never crashes.
+#![expect(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test throughout; clippy knows test functions alone")]
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
