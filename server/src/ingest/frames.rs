@@ -5,11 +5,12 @@ use std::collections::VecDeque;
 use ffmpeg_next::Packet;
 use mr360_protocol::video::{Colour, StereoLayout};
 
+use super::SILENCE;
 use super::colour::{Tags, nearest_supported};
 use super::decode::VideoDecoder;
 use super::error::IngestError;
 use super::layout::{self, Layout, LayoutFlags, Projection, SphericalMetadata};
-use super::open::{self, Opened, READ_PATIENCE};
+use super::open::{self, Opened};
 use super::raw::{self, VideoParameters};
 use super::reform::{Reform, Target, broadcast_size};
 use super::source::Source;
@@ -38,7 +39,7 @@ pub fn decode_frames(source: &Source, options: DecodeOptions) -> Result<DecodedF
         return Ok(DecodedFrames { inner: Inner::Synthetic(synthetic::parse(text)?, 0) });
     }
     let watch = Watch::new();
-    let opened = open::open(source, &watch)?;
+    let opened = open::open(source, SILENCE, &watch)?;
     let flags = LayoutFlags { stereo: options.stereo, projection: options.projection };
     let video = raw::video_parameters(&opened.video.parameters);
     let layout = layout::decide(&name, flags, &opened.video.spherical, &video)?;
@@ -126,7 +127,7 @@ impl StreamFrames {
 
     /// Reads one packet and takes the pictures that it completes.
     fn read(&mut self) -> Result<(), IngestError> {
-        self.watch.allow(READ_PATIENCE);
+        self.watch.allow(SILENCE);
         let mut packet = Packet::empty();
         match packet.read(&mut self.opened.input) {
             Ok(()) if packet.stream() != self.opened.video.index => return Ok(()),
@@ -143,7 +144,10 @@ impl StreamFrames {
                 self.over = true;
                 self.decoder.drain();
             }
-            Err(error) => return Err(IngestError::Lost { input: self.name.clone(), detail: error.to_string() }),
+            Err(error) => {
+                let detail = if self.watch.timed_out() { format!("no data for {SILENCE:?}") } else { error.to_string() };
+                return Err(IngestError::Lost { input: self.name.clone(), detail });
+            }
         }
         while let Ok(Some(picture)) = self.decoder.receive() {
             self.ready.push_back(picture);

@@ -26,7 +26,7 @@ pub enum Projection {
     Cubemap,
     /// Equi-angular cubemap, three by two, as in YouTube's files.
     Eac,
-    /// Front and back fisheye side by side.
+    /// Two fisheye circles side by side, equidistant: the front lens at the left, the back lens at the right, both upright.
     DualFisheye {
         /// Field of view of each lens, degrees, in (0, 360).
         fov_deg: f32,

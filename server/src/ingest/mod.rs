@@ -36,6 +36,8 @@ mod tests;
 mod timeline;
 mod watch;
 
+use std::time::Duration;
+
 use bytes::Bytes;
 use mr360_protocol::clock::ServerTime;
 use mr360_protocol::video::{Colour, StereoLayout};
@@ -61,13 +63,19 @@ pub struct IngestConfig {
     pub projection: Option<Projection>,
     /// Wider video is transcoded down to this many columns.
     pub max_width: Option<u32>,
+    /// Longest silence of a stream before it counts as lost. A stream that is being opened has some seconds more, and a listener waits
+    /// for its push as long as it takes.
+    pub silence: Duration,
 }
+
+/// Silence after which a stream counts as lost unless told otherwise: longer than the longest usual HLS segment takes to appear (6 s).
+const SILENCE: Duration = Duration::from_secs(10);
 
 impl IngestConfig {
     /// The source as it is, once.
     #[must_use]
     pub fn new(source: Source) -> Self {
-        Self { source, looped: false, stereo: None, projection: None, max_width: None }
+        Self { source, looped: false, stereo: None, projection: None, max_width: None, silence: SILENCE }
     }
 
     fn layout_flags(&self) -> layout::LayoutFlags {
@@ -195,6 +203,6 @@ pub enum IngestEvent {
         /// Why, naming the source.
         reason: String,
         /// Until the next try.
-        retry_in: std::time::Duration,
+        retry_in: Duration,
     },
 }

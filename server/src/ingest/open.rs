@@ -12,12 +12,12 @@ use super::raw;
 use super::source::{Address, Source, check_file};
 use super::watch::Watch;
 
-/// Longest wait for a stream to answer and to show its formats.
-const OPEN_PATIENCE: Duration = Duration::from_secs(15);
+/// Longest wait for a file to show its formats; it may lie on a network drive.
+const FILE_PATIENCE: Duration = Duration::from_secs(15);
+/// Time to show its formats that an answering stream has besides: twice `analyzeduration`, and as much again for handshakes.
+const PROBE_PATIENCE: Duration = Duration::from_secs(5);
 /// Longest wait for a push before the listening socket is made anew, which sheds peers that connected and stalled.
 const LISTEN_PATIENCE: Duration = Duration::from_secs(60);
-/// Longest silence of an open stream.
-pub(super) const READ_PATIENCE: Duration = Duration::from_secs(10);
 /// Frames a second where the source does not say.
 const DEFAULT_RATE: f64 = 30.0;
 
@@ -42,12 +42,12 @@ pub(super) struct AudioStream {
     pub(super) parameters: Parameters,
 }
 
-/// Opens a file or URL and picks its video and audio.
-pub(super) fn open(source: &Source, watch: &Watch) -> Result<Opened, IngestError> {
+/// Opens a file or URL and picks its video and audio. A URL that stays silent for longer than `silence` is given up.
+pub(super) fn open(source: &Source, silence: Duration, watch: &Watch) -> Result<Opened, IngestError> {
     let name = source.to_string();
     let input = match source {
         Source::File(path) => open_file(path, watch)?,
-        Source::Url(address) => open_address(address, watch)?,
+        Source::Url(address) => open_address(address, silence, watch)?,
         Source::Synthetic(_) => return Err(IngestError::NotAVideo { input: name, detail: "synthetic sources are not opened".to_owned() }),
     };
     pick_streams(input, &name)
@@ -55,7 +55,7 @@ pub(super) fn open(source: &Source, watch: &Watch) -> Result<Opened, IngestError
 
 fn open_file(path: &Path, watch: &Watch) -> Result<format::context::Input, IngestError> {
     check_file(path)?;
-    watch.allow(OPEN_PATIENCE);
+    watch.begin(FILE_PATIENCE);
     let interrupt = watch.clone();
     format::input_with_interrupt(path, move || interrupt.interrupts()).map_err(|error| {
         let input = path.display().to_string();
@@ -63,11 +63,22 @@ fn open_file(path: &Path, watch: &Watch) -> Result<format::context::Input, Inges
     })
 }
 
-fn open_address(address: &Address, watch: &Watch) -> Result<format::context::Input, IngestError> {
-    watch.allow(if address.listening { LISTEN_PATIENCE } else { OPEN_PATIENCE });
-    let interrupt = watch.clone();
-    format::input_with_interrupt_and_dictionary(&address.url, move || interrupt.interrupts(), options(address))
-        .map_err(|error| open_error(address, watch, error))
+fn open_address(address: &Address, silence: Duration, watch: &Watch) -> Result<format::context::Input, IngestError> {
+    let attempt = |options| {
+        watch.begin(if address.listening { LISTEN_PATIENCE } else { silence.saturating_add(PROBE_PATIENCE) });
+        let interrupt = watch.clone();
+        format::input_with_interrupt_and_dictionary(&address.url, move || interrupt.interrupts(), options)
+    };
+    let opened = match attempt(options(address)) {
+        // FFmpeg turns to UDP only where the server answers 461; some refuse TCP as a request that they do not understand.
+        Err(Error::HttpBadRequest | Error::HttpOther4xx) if address.scheme == "rtsp" && !address.listening => {
+            let mut over_udp = options(address);
+            over_udp.set("rtsp_transport", "udp");
+            attempt(over_udp)
+        }
+        first => first,
+    };
+    opened.map_err(|error| open_error(address, watch, error))
 }
 
 fn open_error(address: &Address, watch: &Watch, error: Error) -> IngestError {

@@ -8,7 +8,7 @@ use ffmpeg_next::codec::packet::Mut;
 use ffmpeg_next::codec::{Context, Id, Parameters};
 use ffmpeg_next::ffi;
 use ffmpeg_next::format::Pixel;
-use ffmpeg_next::{Error, Packet, Rational, color};
+use ffmpeg_next::{Error, Packet, Rational, color, frame};
 
 use super::colour::Tags;
 
@@ -138,6 +138,17 @@ pub(super) fn prepare_decoder(context: &mut Context, id: Id, threads: Threads) {
         }
         raw.pkt_timebase = ffi::AVRational { num: 1, den: 1_000_000 };
     }
+}
+
+/// The three planes of a planar picture at once, rows at the picture's strides; empty where the picture has no such plane.
+pub(super) fn planes_mut(picture: &mut frame::Video) -> [&mut [u8]; 3] {
+    let count = picture.planes();
+    let places = [0, 1, 2].map(|plane| {
+        let data = if plane < count { picture.data_mut(plane) } else { &mut [] };
+        (data.as_mut_ptr(), data.len())
+    });
+    // SAFETY: each place is a valid slice that the picture lends for the lifetime of the result, or empty; planes of one picture do not overlap.
+    places.map(|(start, length)| unsafe { std::slice::from_raw_parts_mut(start, length) })
 }
 
 /// A bitstream filter such as `h264_mp4toannexb`.

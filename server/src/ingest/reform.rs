@@ -81,7 +81,8 @@ fn v360(layout: Layout) -> Option<String> {
         Projection::Equirect => None,
         Projection::Cubemap => Some("input=c3x2".to_owned()),
         Projection::Eac => Some("input=eac".to_owned()),
-        Projection::DualFisheye { fov_deg } => Some(format!("input=dfisheye:ih_fov={fov_deg}:iv_fov={fov_deg}")),
+        // The filter takes the left circle for the one at the back.
+        Projection::DualFisheye { fov_deg } => Some(format!("input=dfisheye:ih_fov={fov_deg}:iv_fov={fov_deg}:yaw=180")),
     }
 }
 

@@ -6,9 +6,10 @@ use std::time::{Duration, Instant};
 
 use super::clock::ServerClock;
 use super::error::IngestError;
+use super::gop::{Memory, Unsuited, Verdict};
 use super::open::{self, Opened};
 use super::pictures::Stream;
-use super::session::{self, End, Session};
+use super::session::{self, End, Outcome, Session};
 use super::shared::{Counters, Shared, count};
 use super::timeline::Timeline;
 use super::watch::Watch;
@@ -101,18 +102,18 @@ struct PreparedFile {
     opened: Opened,
     stream: Stream,
     /// Why the packets cannot pass through, from a look into the file.
-    unsuited: Option<String>,
+    unsuited: Option<Unsuited>,
 }
 
 fn prepare(config: &IngestConfig, name: &str, watch: &Watch) -> Result<Prepared, IngestError> {
     match &config.source {
         Source::File(_) => {
-            let mut scanned = open::open(&config.source, watch)?;
+            let mut scanned = open::open(&config.source, config.silence, watch)?;
             let stream = session::describe(config, name, &scanned)?;
             decode::VideoDecoder::new(name, &stream.parameters)?;
             let unsuited = gop::look_ahead(&mut scanned.input, &scanned.video);
             // Opening anew is surer than seeking back: not every demuxer finds its start again.
-            let opened = open::open(&config.source, watch)?;
+            let opened = open::open(&config.source, config.silence, watch)?;
             Ok(Prepared::File(Box::new(PreparedFile { opened, stream, unsuited })))
         }
         Source::Url(address) => open::check_port(address).map(|()| Prepared::Address),
@@ -123,9 +124,9 @@ fn prepare(config: &IngestConfig, name: &str, watch: &Watch) -> Result<Prepared,
 fn run_file(shared: &Arc<Shared>, config: &IngestConfig, file: PreparedFile) -> Result<(), IngestError> {
     let mut timeline = Timeline::default();
     let session = Session::start(shared, &mut timeline, config, file.opened, file.stream, file.unsuited)?;
-    let (result, packets) = session.run(config.looped);
-    match result {
-        Ok(End::Over) if packets == 0 => {
+    let outcome = session.run(config.looped);
+    match outcome.end {
+        Ok(End::Over) if outcome.video_packets == 0 => {
             Err(IngestError::NotAVideo { input: shared.name.clone(), detail: "no video packet could be read".to_owned() })
         }
         other => other.map(|_| ()),
@@ -135,28 +136,32 @@ fn run_file(shared: &Arc<Shared>, config: &IngestConfig, file: PreparedFile) -> 
 fn run_address(shared: &Arc<Shared>, config: &IngestConfig) {
     let listening = matches!(&config.source, Source::Url(address) if address.listening);
     let mut timeline = Timeline::default();
+    let mut memory = Memory::default();
     let mut backoff = BACKOFF.0;
     let mut ran = false;
     while !shared.watch.stopped() {
         if listening {
             tracing::info!(input = shared.name, "waiting for a push");
         }
-        let (result, packets) = run_once(shared, config, &mut timeline, ran);
+        let Outcome { end, video_packets, parameters, verdict } = run_once(shared, config, &mut timeline, &memory, ran);
         if shared.watch.stopped() {
             return;
         }
-        if packets > 0 {
+        if video_packets > 0 {
             ran = true;
             backoff = BACKOFF.0;
         }
-        let reason = match result {
+        if let Some(parameters) = &parameters {
+            memory.learn(parameters, verdict);
+        }
+        let reason = match end {
             // Nobody came: the socket is made anew, and nothing was lost.
             Err(IngestError::Unreachable { .. }) if listening && shared.watch.timed_out() => continue,
             Ok(_) => IngestError::Lost { input: shared.name.clone(), detail: "the sender ended it".to_owned() }.to_string(),
             Err(error) => error.to_string(),
         };
         // A peer that left may come back at once.
-        let retry_in = if listening && packets > 0 { Duration::ZERO } else { backoff };
+        let retry_in = if listening && video_packets > 0 { Duration::ZERO } else { backoff };
         tracing::warn!(input = shared.name, reason, ?retry_in, "the source was lost");
         shared.sink.event(IngestEvent::Interrupted { reason, retry_in });
         if !retry_in.is_zero() {
@@ -166,21 +171,23 @@ fn run_address(shared: &Arc<Shared>, config: &IngestConfig) {
     }
 }
 
-fn run_once(shared: &Arc<Shared>, config: &IngestConfig, timeline: &mut Timeline, again: bool) -> (Result<End, IngestError>, u64) {
-    let opened = match open::open(&config.source, &shared.watch) {
+fn run_once(shared: &Arc<Shared>, config: &IngestConfig, timeline: &mut Timeline, memory: &Memory, again: bool) -> Outcome {
+    let failed = |error| Outcome { end: Err(error), video_packets: 0, parameters: None, verdict: Verdict::Open };
+    let opened = match open::open(&config.source, config.silence, &shared.watch) {
         Ok(opened) => opened,
-        Err(error) => return (Err(error), 0),
+        Err(error) => return failed(error),
     };
     timeline.reopen();
     if again {
         count(&shared.counters.reconnects);
     }
     tracing::info!(input = shared.name, again, "the source is open");
+    let known = memory.recall(&opened.video.parameters);
     let session =
-        session::describe(config, &shared.name, &opened).and_then(|stream| Session::start(shared, timeline, config, opened, stream, None));
+        session::describe(config, &shared.name, &opened).and_then(|stream| Session::start(shared, timeline, config, opened, stream, known));
     match session {
         Ok(session) => session.run(false),
-        Err(error) => (Err(error), 0),
+        Err(error) => failed(error),
     }
 }
 

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use ffmpeg_next::codec::Parameters;
 use ffmpeg_next::{Error, Packet};
 
 use super::audio::AudioPath;
@@ -10,9 +11,9 @@ use super::bitstream::AccessUnits;
 use super::colour::{Tags, nearest_supported};
 use super::encode::Coded;
 use super::error::IngestError;
-use super::gop::{self, GopWatch};
+use super::gop::{self, GopWatch, Unsuited, Verdict};
 use super::layout::{self, Projection};
-use super::open::{Opened, READ_PATIENCE};
+use super::open::Opened;
 use super::pictures::{self, Job, Pictures, Stream};
 use super::raw::{self, VideoParameters};
 use super::shared::{Shared, count};
@@ -33,6 +34,16 @@ pub(super) enum End {
     Stopped,
 }
 
+/// What came of one opening.
+pub(super) struct Outcome {
+    pub(super) end: Result<End, IngestError>,
+    pub(super) video_packets: u64,
+    /// The video's, where it was opened at all.
+    pub(super) parameters: Option<Parameters>,
+    /// Whether its packets suited live playback.
+    pub(super) verdict: Verdict,
+}
+
 /// One opening of a source.
 pub(super) struct Session<'a> {
     shared: &'a Arc<Shared>,
@@ -43,6 +54,7 @@ pub(super) struct Session<'a> {
     /// Present while packets pass through.
     units: Option<AccessUnits>,
     gop: GopWatch,
+    silence: Duration,
     audio: Option<AudioPath>,
     pacer: Option<Pacer>,
     /// No packet is handed on before a keyframe.
@@ -70,18 +82,18 @@ pub(super) fn describe(config: &IngestConfig, name: &str, opened: &Opened) -> Re
 }
 
 impl<'a> Session<'a> {
-    /// Announces the formats and starts the picture thread. `look_ahead` is what a look into the file has shown.
+    /// Announces the formats and starts the picture thread. `known` is what a look into the file, or an earlier opening, has shown.
     pub(super) fn start(
         shared: &'a Arc<Shared>,
         timeline: &'a mut Timeline,
         config: &IngestConfig,
         opened: Opened,
         stream: Stream,
-        look_ahead: Option<String>,
+        known: Option<Unsuited>,
     ) -> Result<Self, IngestError> {
         let video = raw::video_parameters(&stream.parameters);
         let (audio, audio_info) = open_audio(&shared.name, &opened);
-        let because = transcode_reason(&stream, &video, &opened, look_ahead);
+        let because = transcode_reason(&stream, &video, &opened, known);
         let pictures = Pictures::start(shared, stream.clone())?;
         let mut session = Self {
             shared,
@@ -89,6 +101,7 @@ impl<'a> Session<'a> {
             pictures,
             units: None,
             gop: GopWatch::default(),
+            silence: config.silence,
             audio,
             pacer: is_paced(&config.source).then(Pacer::default),
             awaits_keyframe: true,
@@ -115,9 +128,9 @@ impl<'a> Session<'a> {
         Ok(session)
     }
 
-    /// Reads until the source ends. The number tells how many video packets came.
-    pub(super) fn run(mut self, looped: bool) -> (Result<End, IngestError>, u64) {
-        let result = loop {
+    /// Reads until the source ends.
+    pub(super) fn run(mut self, looped: bool) -> Outcome {
+        let end = loop {
             let before = self.video_packets;
             match self.read_through() {
                 Ok(End::Over) if looped && self.video_packets > before => {
@@ -132,30 +145,38 @@ impl<'a> Session<'a> {
                 other => break other,
             }
         };
-        let packets = self.video_packets;
         self.pictures.finish();
-        (self.shared.take_failure().map_or(result, Err), packets)
+        Outcome {
+            end: self.shared.take_failure().map_or(end, Err),
+            video_packets: self.video_packets,
+            parameters: Some(self.stream.parameters),
+            verdict: self.gop.verdict(),
+        }
     }
 
     fn read_through(&mut self) -> Result<End, IngestError> {
         let mut bad = 0;
+        let mut silent = false;
         loop {
             if self.shared.watch.stopped() {
                 return Ok(End::Stopped);
             }
-            self.shared.watch.allow(READ_PATIENCE);
+            if !silent {
+                self.shared.watch.allow(self.silence);
+            }
             let mut packet = Packet::empty();
             match packet.read(&mut self.opened.input) {
-                Ok(()) => bad = 0,
+                Ok(()) => (bad, silent) = (0, false),
                 Err(_) if self.shared.watch.stopped() => return Ok(End::Stopped),
+                Err(_) if self.shared.watch.timed_out() => return Err(self.lost(&format!("no data for {:?}", self.silence))),
                 Err(Error::Eof) => return Ok(End::Over),
-                Err(Error::Exit) => return Err(self.lost(&format!("no data for {} s", READ_PATIENCE.as_secs()))),
-                Err(Error::Other { errno }) if errno == ffmpeg_next::error::EAGAIN => {
+                Err(Error::Other { errno }) if errno == ffmpeg_next::error::EAGAIN && !self.shared.watch.interrupts() => {
+                    silent = true;
                     self.shared.watch.sleep_until(Instant::now() + Duration::from_millis(5));
                     continue;
                 }
                 Err(Error::InvalidData) if bad < MAX_BAD_READS => {
-                    bad += 1;
+                    (bad, silent) = (bad + 1, false);
                     count(&self.shared.counters.corrupt_packets);
                     continue;
                 }
@@ -175,7 +196,7 @@ impl<'a> Session<'a> {
     fn rewind(&mut self) -> Result<(), IngestError> {
         self.opened.input.seek(i64::MIN, ..).map_err(|error| self.lost(&format!("cannot start again: {error}")))?;
         self.timeline.repeat();
-        self.gop.reset();
+        self.gop.restart();
         self.last_dts_us = None;
         self.awaits_keyframe = true;
         self.pictures.push(Job::Seek);
@@ -214,12 +235,13 @@ impl<'a> Session<'a> {
         self.awaits_keyframe = false;
         packet.set_pts(Some(pts_us));
         packet.set_dts(Some(dts_us + offset));
+        let unsuited = self.gop.observe(packet.is_key(), pts_us);
         if self.units.is_some() {
-            match self.gop.observe(packet.is_key(), pts_us) {
+            match unsuited {
                 None => return self.pass_through(packet, pts_us).map(|()| true),
-                Some(reason) => {
+                Some(unsuited) => {
                     let audio = self.audio.as_ref().map(|audio| audio.info.clone());
-                    self.transcode(reason, audio)?;
+                    self.transcode(unsuited.to_string(), audio)?;
                 }
             }
         }
@@ -367,11 +389,11 @@ fn open_audio(name: &str, opened: &Opened) -> (Option<AudioPath>, Option<super::
     (audio, info)
 }
 
-fn transcode_reason(stream: &Stream, video: &VideoParameters, opened: &Opened, look_ahead: Option<String>) -> Option<String> {
+fn transcode_reason(stream: &Stream, video: &VideoParameters, opened: &Opened, known: Option<Unsuited>) -> Option<String> {
     if stream.layout.projection != Projection::Equirect {
         return Some(format!("its projection is {:?}", stream.layout.projection));
     }
-    too_wide(stream, video.width).or_else(|| gop::unsuited(&opened.video)).or(look_ahead)
+    too_wide(stream, video.width).or_else(|| gop::unsuited(&opened.video)).or_else(|| known.map(|unsuited| unsuited.to_string()))
 }
 
 fn too_wide(stream: &Stream, width: u32) -> Option<String> {

@@ -12,6 +12,7 @@ use super::error::IngestError;
 use super::layout::{Layout, Projection, check_size};
 use super::pictures::video_info;
 use super::queue::Queue;
+use super::raw;
 use super::shared::{Shared, count};
 use super::testcard::TestCard;
 use super::{IngestEvent, VideoCodec};
@@ -113,15 +114,8 @@ impl FrameSource for Plaza {
 
     fn frame(&mut self, index: u64, out: &mut frame::Video) {
         let [y_stride, u_stride, v_stride] = [0, 1, 2].map(|plane| out.stride(plane));
-        let (luma, chroma_height) = (out.height() as usize, out.height() as usize / 2);
-        let mut planes = [vec![0; y_stride * luma], vec![0; u_stride * chroma_height], vec![0; v_stride * chroma_height]];
-        let [y, u, v] = &mut planes;
+        let [y, u, v] = raw::planes_mut(out);
         self.yuv420(index, y, y_stride, u, u_stride, v, v_stride);
-        for (plane, samples) in planes.iter().enumerate() {
-            let target = out.data_mut(plane);
-            let length = target.len().min(samples.len());
-            target[..length].copy_from_slice(&samples[..length]);
-        }
     }
 }
 
@@ -189,6 +183,19 @@ fn render_loop(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_plaza_is_drawn_into_the_picture_itself() {
+        let mut plaza = Plaza::new(PlazaConfig::from_query("size=72x36&fps=30").unwrap(), |_| {}).unwrap();
+        let picture = render(&mut plaza, 3);
+        let [mut y, mut u, mut v] = [vec![0; 72 * 36], vec![0; 36 * 18], vec![0; 36 * 18]];
+        plaza.yuv420(3, &mut y, 72, &mut u, 36, &mut v, 36);
+        for (plane, (samples, width)) in [(y, 72), (u, 36), (v, 36)].into_iter().enumerate() {
+            // Rows of a picture are padded.
+            let rows = picture.data(plane).chunks(picture.stride(plane));
+            assert!(rows.map(|row| &row[..width]).eq(samples.chunks(width)), "plane {plane}");
+        }
+    }
 
     #[test]
     fn parameters_and_their_errors() {

@@ -1,8 +1,12 @@
 //! Whole ingests, on media made by the ffmpeg program.
 
 mod bad_input;
+mod directions;
 mod formats;
 mod live;
+mod protocols;
+mod senders;
+mod silence;
 
 use std::path::Path;
 use std::sync::mpsc::{self, Receiver};
@@ -34,7 +38,8 @@ struct Outcome {
     video: Vec<AccessUnit>,
     frames: Vec<(u64, (u32, u32), StereoLayout)>,
     audio: Vec<AudioPacket>,
-    interrupted: usize,
+    /// Reasons and waits.
+    interrupted: Vec<(String, Duration)>,
 }
 
 impl Outcome {
@@ -43,7 +48,7 @@ impl Outcome {
             IngestEvent::Started(video, audio) => self.started.push((video, audio)),
             IngestEvent::Video(unit) => self.video.push(unit),
             IngestEvent::Audio(packet) => self.audio.push(packet),
-            IngestEvent::Interrupted { .. } => self.interrupted += 1,
+            IngestEvent::Interrupted { reason, retry_in } => self.interrupted.push((reason, retry_in)),
             IngestEvent::Frame(frame, _) => {
                 let Pixels::Video(pixels, colour) = &frame.pixels else { panic!("not video") };
                 assert!(SUPPORTED_PIXELS.contains(&pixels.format()));

@@ -15,6 +15,8 @@ struct Inner {
     epoch: Instant,
     /// Microseconds after `epoch`; zero for none.
     deadline_us: AtomicU64,
+    /// A call was given up since the source was opened.
+    timed_out: AtomicBool,
 }
 
 impl Watch {
@@ -25,6 +27,7 @@ impl Watch {
             wake: Condvar::new(),
             epoch: Instant::now(),
             deadline_us: AtomicU64::new(0),
+            timed_out: AtomicBool::new(false),
         }))
     }
 
@@ -44,14 +47,26 @@ impl Watch {
         self.0.deadline_us.store(u64::try_from(deadline).unwrap_or(u64::MAX), Ordering::Release);
     }
 
+    /// As [`Watch::allow`], for a source that is opened now: what was given up before is forgotten.
+    pub(super) fn begin(&self, patience: Duration) {
+        self.0.timed_out.store(false, Ordering::Release);
+        self.allow(patience);
+    }
+
+    /// Whether a call was given up since the source was opened. It tells why a source ended better than FFmpeg's error does, which differs
+    /// between protocols and may come calls later: what demuxers hold back, they hand on first.
     pub(super) fn timed_out(&self) -> bool {
-        let deadline = self.0.deadline_us.load(Ordering::Acquire);
-        deadline != 0 && self.0.epoch.elapsed().as_micros() > u128::from(deadline)
+        self.0.timed_out.load(Ordering::Acquire)
     }
 
     /// What FFmpeg's interrupt callback answers.
     pub(super) fn interrupts(&self) -> bool {
-        self.stopped() || self.timed_out()
+        let deadline = self.0.deadline_us.load(Ordering::Acquire);
+        if deadline != 0 && self.0.epoch.elapsed().as_micros() > u128::from(deadline) {
+            self.0.timed_out.store(true, Ordering::Release);
+            return true;
+        }
+        self.stopped()
     }
 
     /// Sleeps until `until` or until stopped; true if stopped.

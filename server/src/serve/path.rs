@@ -3,7 +3,7 @@
 use std::sync::{Mutex, PoisonError};
 
 use mr360_protocol::clock::ServerTime;
-use mr360_protocol::light::LightFrame;
+use mr360_protocol::light::{Lift, LightFrame};
 
 use crate::broadcast::{LightTrack, MediaTracks};
 use crate::frame::Frame;
@@ -24,11 +24,14 @@ struct Light {
     track: LightTrack,
     method: Box<dyn LightMethod>,
     steps: StepTimes,
+    /// The frame on its way to the wire; its vectors are used again.
+    frame: LightFrame,
 }
 
 impl DataPath {
     pub(super) fn new(media: MediaTracks, track: LightTrack, method: Box<dyn LightMethod>, stats: Stats, clock: ServerClock) -> Self {
-        let light = Light { track, method, steps: StepTimes::default() };
+        let frame = LightFrame { pts_us: 0, published_us: 0, lift: Lift::default(), sh: Vec::new(), lights: Vec::new() };
+        let light = Light { track, method, steps: StepTimes::default(), frame };
         Self { media: Mutex::new(media), light: Mutex::new(light), stats, clock }
     }
 
@@ -42,19 +45,15 @@ impl DataPath {
     }
 
     fn light(&self, frame: &Frame, decoded: ServerTime) -> anyhow::Result<()> {
-        let Light { track, method, steps } = &mut *self.light.lock().unwrap_or_else(PoisonError::into_inner);
+        let Light { track, method, steps, frame: light } = &mut *self.light.lock().unwrap_or_else(PoisonError::into_inner);
         let begun = self.clock.now();
         steps.clear();
         let estimate = method.estimate(frame, steps)?;
         let published = self.clock.now();
-        let light = LightFrame {
-            pts_us: frame.pts_us,
-            published_us: published.0,
-            lift: estimate.lift,
-            sh: estimate.sh.clone(),
-            lights: estimate.lights.clone(),
-        };
-        let bytes = track.publish(&light)?;
+        (light.pts_us, light.published_us, light.lift) = (frame.pts_us, published.0, estimate.lift);
+        light.sh.clone_from(&estimate.sh);
+        light.lights.clone_from(&estimate.lights);
+        let bytes = track.publish(light)?;
         self.stats.light(&LightRow { pts_us: frame.pts_us, decoded, begun, published, steps, lights: light.lights.len(), bytes });
         Ok(())
     }

@@ -1,36 +1,11 @@
 //! Streams over the network, and sources that misbehave while they run.
 
-use std::net::{TcpListener, UdpSocket};
-use std::process::{Child, Command, Stdio};
+use std::net::UdpSocket;
 use std::sync::Mutex;
 
+use super::senders::{Sender, free_port};
 use super::*;
 use crate::ingest::test_media::{make, picture, tone};
-
-/// A port that was free a moment ago.
-fn free_port() -> u16 {
-    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
-}
-
-struct Push(Child);
-
-impl Push {
-    /// Pushes a file in real time, trying until somebody listens.
-    fn start(path: &Path, arguments: &str, url: &str) -> Self {
-        let script = format!(
-            "for i in $(seq 100); do ffmpeg -hide_banner -loglevel quiet -re -i '{}' {arguments} '{url}' </dev/null && exit 0; sleep 0.1; done",
-            path.display()
-        );
-        Self(Command::new("sh").args(["-c", &script]).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap())
-    }
-}
-
-impl Drop for Push {
-    fn drop(&mut self) {
-        drop(self.0.kill());
-        drop(self.0.wait());
-    }
-}
 
 #[test]
 fn a_push_over_rtmp_is_taken_and_the_next_one_too() {
@@ -40,10 +15,10 @@ fn a_push_over_rtmp_is_taken_and_the_next_one_too() {
     let source = Source::parse(&format!("rtmp://127.0.0.1:{port}/live/key?listen=1")).unwrap();
     let (handle, receiver) = start(IngestConfig::new(source));
     let url = format!("rtmp://127.0.0.1:{port}/live/key");
-    let first = Push::start(&media, "-c copy -f flv", &url);
-    let mut outcome = Outcome::collect(&receiver, |outcome| outcome.interrupted == 1);
+    let first = Sender::start(&media, "-c copy -f flv", &url);
+    let mut outcome = Outcome::collect(&receiver, |outcome| outcome.interrupted.len() == 1);
     drop(first);
-    let _second = Push::start(&media, "-c copy -f flv", &url);
+    let _second = Sender::start(&media, "-c copy -f flv", &url);
     let again = Outcome::collect(&receiver, |outcome| outcome.video.len() >= 20 && outcome.frames.len() >= 20 && !outcome.audio.is_empty());
     outcome.check();
     assert!(outcome.video.len() >= 40 && outcome.audio.len() > 50, "{} {}", outcome.video.len(), outcome.audio.len());
@@ -57,18 +32,30 @@ fn a_push_over_rtmp_is_taken_and_the_next_one_too() {
 }
 
 #[test]
-fn a_push_with_rare_keyframes_is_transcoded_from_the_moment_it_shows() {
+fn a_push_with_rare_keyframes_is_transcoded_from_the_moment_it_shows_and_the_next_one_at_once() {
     let dir = tempfile::tempdir().unwrap();
-    let media = make(dir.path(), "a.mp4", &format!("{} {X264} -g 900 -sc_threshold 0", picture(256, 128, 4.0)));
+    let rare = make(dir.path(), "a.mp4", &format!("{} {X264} -g 900 -sc_threshold 0", picture(256, 128, 2.6)));
+    let other = make(dir.path(), "b.mp4", &format!("{} {X264} -g 15", picture(128, 64, 0.7)));
     let port = free_port();
     let url = format!("rtmp://127.0.0.1:{port}/live/key");
     let (handle, receiver) = start(IngestConfig::new(Source::parse(&format!("{url}?listen=1")).unwrap()));
-    let _push = Push::start(&media, "-c copy -f flv", &url);
-    let outcome = Outcome::collect(&receiver, |outcome| outcome.interrupted == 1);
+    let push = |media: &Path| {
+        let _push = Sender::start(media, "-c copy -f flv", &url);
+        let outcome = Outcome::collect(&receiver, |outcome| outcome.interrupted.len() == 1);
+        let transcoded: Vec<bool> = outcome.started.iter().map(|(video, _)| video.transcoded_because.is_some()).collect();
+        (outcome, transcoded)
+    };
+    let (outcome, transcoded) = push(&rare);
     outcome.check();
-    let reasons: Vec<bool> = outcome.started.iter().map(|(video, _)| video.transcoded_because.is_some()).collect();
-    assert_eq!(reasons, [false, true]);
-    assert!(outcome.video.len() >= 100, "{}", outcome.video.len());
+    assert_eq!(transcoded, [false, true]);
+    assert!(outcome.video.len() >= 70, "{}", outcome.video.len());
+    // The same sender again: still what was announced last, and the encoder's keyframes, a second apart, instead of the source's.
+    let (outcome, transcoded) = push(&rare);
+    assert!(transcoded.is_empty(), "{:?}", outcome.started);
+    let keys: Vec<u64> = outcome.video.iter().filter(|unit| unit.keyframe).map(|unit| unit.pts_us).collect();
+    assert!(keys.len() >= 3 && keys[1] - keys[0] < 1_100_000, "{keys:?}");
+    // Another one has not earned that.
+    assert_eq!(push(&other).1, [false]);
     handle.stop();
     handle.join().unwrap();
 }
@@ -82,7 +69,7 @@ fn transport_streams_over_udp_and_srt_bring_aac_without_adts() {
         let listen = if scheme == "srt" { "?mode=listener" } else { "" };
         let source = Source::parse(&format!("{scheme}://127.0.0.1:{port}{listen}")).unwrap();
         let (handle, receiver) = start(IngestConfig::new(source));
-        let _push = Push::start(&media, "-c copy -f mpegts", &format!("{scheme}://127.0.0.1:{port}"));
+        let _push = Sender::start(&media, "-c copy -f mpegts", &format!("{scheme}://127.0.0.1:{port}"));
         let enough = |outcome: &Outcome| outcome.video.len() >= 20 && outcome.frames.len() >= 15 && outcome.audio.len() > 20;
         let outcome = Outcome::collect(&receiver, enough);
         outcome.check();
@@ -102,7 +89,7 @@ fn a_listener_and_an_unreachable_source_stop_at_once() {
     handle.join().unwrap();
     let nobody = Source::parse(&format!("rtmp://127.0.0.1:{}/live/x", free_port())).unwrap();
     let (handle, receiver) = start(IngestConfig::new(nobody));
-    let outcome = Outcome::collect(&receiver, |outcome| outcome.interrupted == 2);
+    let outcome = Outcome::collect(&receiver, |outcome| outcome.interrupted.len() == 2);
     assert!(outcome.video.is_empty());
     handle.stop();
     handle.join().unwrap();
