@@ -20,7 +20,11 @@ mod radiance;
 mod recovery;
 mod regions;
 mod sampling;
+pub mod sequences;
+#[cfg(test)]
+mod stability;
 mod steps;
+mod track;
 
 pub use directional::{Directional, MOST_LIGHTS};
 pub use iorns::Iorns;
@@ -36,7 +40,7 @@ pub struct Estimate {
     pub lift: Lift,
     /// Radiance outside the lights, real SH, 9 coefficients, not convolved.
     pub sh: Vec<Vec3>,
-    /// Strongest first; `id` is the rank in this frame.
+    /// Strongest first; `id` is the rank in this frame, or lasts from frame to frame where the method follows lights.
     pub lights: Vec<DirectionalLight>,
     /// Source values that were not finite, negative or too large to be light and were mended.
     pub mended: u64,

@@ -1,0 +1,207 @@
+//! Following one quantity: still while it only wavers, at once when it really changes.
+//!
+//! Deviations from the prediction up to a gate are noise and are averaged: double exponential smoothing, a level and a
+//! trend, so that a steady ramp is followed without lag. Deviations beyond the gate that keep their side for two
+//! observations are a change: level and trend are fitted to them afresh. A quantity that swings (a lamp that beats
+//! with the frame rate) changes sides instead; one that has swung lately must stay on one side for longer than any of
+//! its swings. A Kalman filter would need a model of the noise, which a codec changes from scene to scene, and its
+//! gain forgets neither the swing nor the jump; the one-euro filter follows every swing whose speed exceeds its cutoff.
+
+use glam::DVec3;
+
+/// Time constant of the smoothing. Noise of single frames keeps about a quarter of its amplitude at 30 frames a
+/// second, a beat of 10 Hz a sixteenth, and an error within the gate is gone after a second.
+const CALM_S: f64 = 0.6;
+/// Swings are remembered for this long: a lamp's beat with the frame rate is a few Hz at the least.
+const MEMORY_S: f64 = 1.0;
+/// A trend says nothing about what happened in a gap longer than this.
+const HORIZON_S: f64 = 0.1;
+
+/// How a quantity is followed, in its own unit.
+pub(super) struct Manner {
+    /// Deviations up to this are noise.
+    pub(super) gate: f64,
+    /// Deviations beyond this must persist before they are believed.
+    pub(super) leap: f64,
+    /// Largest believable trend, per second.
+    pub(super) fastest: f64,
+    /// Whether swings are suppressed; where they are not, they are followed.
+    pub(super) suppress_swings: bool,
+}
+
+/// State of one followed quantity of three components.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Follower {
+    level: DVec3,
+    /// Per second.
+    trend: DVec3,
+    /// The last observation.
+    last: DVec3,
+    age_s: f64,
+    /// Deviations in a row beyond the gate and to one side.
+    run: u32,
+    /// Deviation and observation with which that row began, and how long ago.
+    begun: (DVec3, DVec3, f64),
+    /// The longest row that came to nothing, and how long ago it ended.
+    swing: (u32, f64),
+}
+
+impl Follower {
+    /// Begins with an observation.
+    pub(super) fn new(observed: DVec3) -> Self {
+        Self {
+            level: observed,
+            trend: DVec3::ZERO,
+            last: observed,
+            age_s: 0.0,
+            run: 0,
+            begun: (DVec3::ZERO, observed, 0.0),
+            swing: (0, f64::INFINITY),
+        }
+    }
+
+    /// The followed value.
+    pub(super) fn value(&self) -> DVec3 {
+        self.level
+    }
+
+    /// What it is expected to be in `dt_s` seconds.
+    pub(super) fn predicted(&self, dt_s: f64) -> DVec3 {
+        self.level + self.trend * dt_s.min(HORIZON_S)
+    }
+
+    /// Takes on a value at once, as after a change that is known for one.
+    pub(super) fn jump(&mut self, observed: DVec3) {
+        (self.level, self.last, self.run) = (observed, observed, 0);
+    }
+
+    /// Goes on without an observation.
+    pub(super) fn coast(&mut self, dt_s: f64) {
+        self.level = self.predicted(dt_s);
+        self.run = 0;
+    }
+
+    /// Brings the value back onto the unit sphere, for directions.
+    pub(super) fn normalize(&mut self) {
+        self.level = self.level.try_normalize().unwrap_or(self.last);
+    }
+
+    /// Takes an observation, `dt_s > 0` after the last one.
+    pub(super) fn observe(&mut self, manner: &Manner, observed: DVec3, dt_s: f64) {
+        let predicted = self.predicted(dt_s);
+        let deviation = observed - predicted;
+        let size = deviation.length();
+        self.age_s += dt_s;
+        self.swing.1 += dt_s;
+        self.begun.2 += dt_s;
+        if size <= manner.gate {
+            self.end_run();
+        } else if self.run > 0 && deviation.dot(self.begun.0) > 0.0 {
+            self.run += 1;
+        } else {
+            self.end_run();
+            (self.run, self.begun) = (1, (deviation, observed, 0.0));
+        }
+        if self.run > 0 && self.run >= self.patience(manner, size) {
+            self.refit(manner, observed, dt_s);
+        } else {
+            self.smooth(manner, predicted, deviation, dt_s);
+        }
+        self.last = observed;
+    }
+
+    /// How many deviations in a row make a change.
+    fn patience(&self, manner: &Manner, size: f64) -> u32 {
+        let swing = if manner.suppress_swings && self.swing.1 <= MEMORY_S { self.swing.0 } else { 0 };
+        if size <= manner.leap { 1 } else { 1 + swing.max(1) }
+    }
+
+    fn end_run(&mut self) {
+        if self.run > 0 && (self.run >= self.swing.0 || self.swing.1 > MEMORY_S) {
+            self.swing = (self.run, 0.0);
+        }
+        self.run = 0;
+    }
+
+    /// A line through the run: level for a step, trend for a ramp.
+    fn refit(&mut self, manner: &Manner, observed: DVec3, dt_s: f64) {
+        let slope = if self.run > 1 { (observed - self.begun.1) / self.begun.2 } else { (observed - self.last) / dt_s };
+        (self.level, self.trend, self.run) = (observed, slope.clamp_length_max(manner.fastest), 0);
+    }
+
+    /// Double exponential smoothing, of shorter memory while there is little to remember.
+    fn smooth(&mut self, manner: &Manner, predicted: DVec3, deviation: DVec3, dt_s: f64) {
+        let discount = (-dt_s / CALM_S.min(self.age_s)).exp();
+        self.level = predicted + deviation * (1.0 - discount * discount);
+        let trend = self.trend + deviation * ((1.0 - discount) * (1.0 - discount) / dt_s);
+        self.trend = trend.clamp_length_max(manner.fastest);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const DT_S: f64 = 1.0 / 30.0;
+    const MANNER: Manner = Manner { gate: 0.02, leap: 0.02, fastest: 3.0, suppress_swings: true };
+
+    /// The followed values of `signal(frame)`.
+    fn follow(manner: &Manner, frames: usize, signal: impl Fn(usize) -> f64) -> Vec<f64> {
+        let mut follower = Follower::new(DVec3::splat(signal(0)));
+        (0..frames)
+            .map(|frame| {
+                if frame > 0 {
+                    follower.observe(manner, DVec3::splat(signal(frame)), DT_S);
+                }
+                follower.value().x
+            })
+            .collect()
+    }
+
+    fn largest(values: impl IntoIterator<Item = f64>) -> f64 {
+        values.into_iter().map(f64::abs).fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn a_step_is_taken_with_its_second_observation() {
+        let values = follow(&MANNER, 40, |frame| f64::from(frame >= 20) * 0.5);
+        assert!(values[19] == 0.0 && values[20] < 0.1 && values[21] == 0.5, "{values:?}");
+        assert!(largest(values[21..].iter().map(|v| v - 0.5)) < 1e-9, "{values:?}");
+    }
+
+    #[test]
+    fn a_single_outlier_is_not_taken() {
+        let values = follow(&MANNER, 40, |frame| f64::from(frame == 20) * 0.5);
+        // What smoothing lets through of one frame: 1 − θ², θ = exp(−1/18).
+        assert!(largest(values) < 0.5 * 0.11, "a tenth");
+    }
+
+    #[test]
+    fn a_ramp_is_followed_without_lag() {
+        let slope = 0.693 * DT_S;
+        let values = follow(&MANNER, 90, |frame| frame.saturating_sub(20) as f64 * slope);
+        // The ramp shows in its second frame; from then on its line is known.
+        assert!(largest(values.iter().enumerate().map(|(frame, v)| v - frame.saturating_sub(20) as f64 * slope)) < 2.0 * slope);
+        assert!((values[60] - 40.0 * slope).abs() < 1e-3, "{} {}", values[60], 40.0 * slope);
+    }
+
+    #[test]
+    fn a_beat_is_damped_and_a_step_within_it_still_seen() {
+        for (phase, period) in [(0.3, 3.0), (0.9, 3.0), (0.0, 3.0), (0.2, 6.0)] {
+            let beat = |frame: usize| 0.2 * (std::f64::consts::TAU * (frame as f64 + phase) / period).sin();
+            let values = follow(&MANNER, 240, beat);
+            let spread = largest(values[90..].iter().copied());
+            assert!(spread < 0.2 / 8.0, "phase {phase} period {period}: {spread}");
+            let values = follow(&MANNER, 240, |frame| beat(frame) + f64::from(frame >= 200) * 1.0);
+            assert!(values[206] > 0.7, "{:?}", &values[198..210]);
+        }
+    }
+
+    #[test]
+    fn swings_are_followed_where_asked_for() {
+        let manner = Manner { gate: 0.1, leap: 2.0, fastest: 100.0, suppress_swings: false };
+        let shake = |frame: usize| (std::f64::consts::TAU * 2.0 * frame as f64 * DT_S).sin();
+        let values = follow(&manner, 120, shake);
+        assert!(largest(values.iter().enumerate().map(|(frame, v)| v - shake(frame))) <= 0.1 / 3f64.sqrt() + 1e-9);
+    }
+}
