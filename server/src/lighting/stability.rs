@@ -100,14 +100,212 @@ fn least_residual(rows: &[Row]) -> f32 {
     rows.iter().map(least).fold(f32::INFINITY, f32::min)
 }
 
+fn assert_steady(rows: &[Row], events: usize, worst_deg: f32, step: f32) {
+    assert!(rows.iter().all(|row| row.estimate.sh.iter().all(|c| c.is_finite())));
+    let errors: Vec<f32> = rows.iter().filter(|row| !row.estimate.lights.is_empty()).map(error_deg).collect();
+    assert!(largest(errors.iter().copied()) <= worst_deg, "{errors:?}");
+    assert!(comings_and_goings(rows) <= events, "{}", comings_and_goings(rows));
+    let (direct, all) = largest_steps(rows);
+    assert!(direct <= step && all <= step, "{direct} {all}");
+    // Nothing is taken out of the SH that is not in them, up to their ringing.
+    assert!(least_residual(rows) > 0.0, "{}", least_residual(rows));
+}
+
+fn lit(rows: &[Row]) -> usize {
+    rows.iter().filter(|row| !row.estimate.lights.is_empty()).count()
+}
+
+/// Energy of lights and SH over the sphere, luminance by its green part.
+fn energy(estimate: &Estimate) -> f32 {
+    estimate.lights.iter().map(|light| light.irradiance.y).sum::<f32>() + estimate.sh[0].y * (4.0 * std::f32::consts::PI).sqrt()
+}
+
+#[test]
+fn a_still_scene_is_still() {
+    let rows = run(&sequences::still());
+    assert_steady(&rows, 0, 0.3, 0.01);
+    let mean: Vec3 = rows.iter().map(|row| main_light(row).direction).sum::<Vec3>().normalize();
+    let wander = rms(rows.iter().map(|row| degrees(main_light(row).direction, mean)));
+    assert!(wander <= 0.1, "{wander}");
+    let strengths: Vec<f32> = rows.iter().map(|row| main_light(row).irradiance.y).collect();
+    assert!(variation(&strengths) <= 0.01, "{}", variation(&strengths));
+}
+
+#[test]
+fn light_and_ambient_keep_their_ratio_while_the_exposure_moves() {
+    let rows = run(&sequences::exposure_ramp(true));
+    assert_steady(&rows, 0, 0.1, 0.05);
+    let ratio = |row: &Row| main_light(row).irradiance.y / row.estimate.sh[0].y;
+    let drift = largest(rows.iter().map(|row| (ratio(row) / ratio(&rows[0]) - 1.0).abs()));
+    assert!(drift < 0.05, "{drift}");
+    // And both follow the exposure: two frames of 1 EV a second are 4.7 %.
+    let lag = largest(rows.iter().map(|row| (energy(&row.estimate) / energy(&rows[0].estimate) / (row.truth.gain.y / rows[0].truth.gain.y) - 1.0).abs()));
+    assert!(lag < 0.05, "{lag}");
+}
+
+#[test]
+fn a_clipped_light_lives_through_a_change_of_exposure() {
+    let rows = run(&sequences::exposure_ramp(false));
+    assert_eq!(lit(&rows), rows.len());
+    assert_steady(&rows, 0, 0.3, 0.06);
+}
+
+#[test]
+fn a_jump_of_the_white_balance_is_taken_within_three_frames() {
+    let rows = run(&sequences::white_balance_jump());
+    assert_steady(&rows, 0, 0.3, 0.05);
+    let tint = |row: &Row| row.estimate.sh[0].x / row.estimate.sh[0].z;
+    let (before, after) = (tint(&rows[59]), tint(&rows[119]));
+    assert!(before / after > 1.5, "{before} {after}");
+    for row in &rows[62..] {
+        assert!((tint(row) / after - 1.0).abs() < 0.02, "{} s: {} {after}", row.time_s, tint(row));
+    }
+}
+
+#[test]
+fn the_beat_of_a_lamp_is_damped_tenfold() {
+    let rows = run(&sequences::lamp_beat());
+    assert_steady(&rows, 0, 0.3, 1.0);
+    let swing = |values: Vec<f32>| {
+        let (least, most) = values.iter().fold((f32::INFINITY, 0.0f32), |(a, b), v| (a.min(*v), b.max(*v)));
+        2.0 * (most - least) / (most + least)
+    };
+    let beat = swing(rows[60..].iter().map(|row| row.truth.gain.y).collect());
+    let ground = swing(rows[60..].iter().map(|row| irradiance(row, Vec3::Y).1).collect());
+    let light = swing(rows[60..].iter().map(|row| main_light(row).irradiance.y).collect());
+    assert!(ground < 0.1 * beat && light < 0.1 * beat, "{beat}: {ground} {light}");
+}
+
+#[test]
+fn a_cut_is_taken_at_once() {
+    let rows = run(&sequences::scene_cut());
+    assert_eq!((lit(&rows), comings_and_goings(&rows)), (rows.len(), 4));
+    // In every frame, the one of the cut included.
+    assert!(largest(rows.iter().map(error_deg)) < 0.5);
+    let settled = main_light(&rows[119]).irradiance.y;
+    assert!((main_light(&rows[60]).irradiance.y / settled - 1.0).abs() < 0.05);
+}
+
+#[test]
+fn a_sun_keeps_its_identity_over_seam_and_zenith() {
+    for sequence in [sequences::over_the_seam(), sequences::over_the_zenith()] {
+        let rows = run(&sequence);
+        assert_eq!(lit(&rows), rows.len(), "{}", sequence.name);
+        assert_steady(&rows, 0, 0.5, 0.05);
+    }
+}
+
+#[test]
+fn a_cloud_takes_the_sun_away_once() {
+    let rows = run(&sequences::behind_a_cloud());
+    // Dead and born once at most, and faded, although the clipped sun leaves white within a quarter of a second.
+    assert_steady(&rows, 2, 0.3, 0.1);
+    assert!(rows[90..110].iter().all(|row| row.estimate.lights.is_empty()));
+    assert!(rows[190..].iter().all(|row| row.estimate.lights.len() == 1));
+}
+
+#[test]
+fn a_switched_lamp_is_followed_within_three_frames() {
+    let rows = run(&sequences::lamp_switched());
+    assert!(comings_and_goings(&rows) <= 2);
+    let before = main_light(&rows[29]).irradiance.y;
+    for row in &rows[32..60] {
+        assert!((main_light(row).irradiance.y / before - 2.0).abs() < 0.06, "{} s", row.time_s);
+    }
+    let left: f32 = rows[62].estimate.lights.iter().map(|light| light.irradiance.y).sum();
+    assert!(left < 0.05 * before, "{left} {before}");
+    assert!((main_light(&rows[110]).irradiance.y / before - 1.0).abs() < 0.03);
+    // Before it fades in as a light its energy is in the SH.
+    assert!((energy(&rows[91].estimate) / energy(&rows[29].estimate) - 1.0).abs() < 0.02);
+}
+
+#[test]
+fn lights_merge_and_split_without_a_step() {
+    for (sequence, most) in [(sequences::merge_and_split(), 2), (sequences::crossing(), 2)] {
+        let rows = run(&sequence);
+        assert_eq!((rows[0].estimate.lights.len(), rows[rows.len() - 1].estimate.lights.len()), (2, 2), "{}", sequence.name);
+        assert!(rows.iter().any(|row| row.estimate.lights.len() == 1), "{}", sequence.name);
+        assert!(comings_and_goings(&rows) <= most, "{}: {}", sequence.name, comings_and_goings(&rows));
+        let (direct, all) = largest_steps(&rows);
+        assert!(direct < 0.03 && all < 0.03, "{}: {direct} {all}", sequence.name);
+    }
+}
+
+#[test]
+fn lights_and_sh_hold_the_energy_of_the_frame() {
+    for sequence in [sequences::merge_and_split(), sequences::crossing(), sequences::shake()] {
+        for (shot, row) in sequence.shots().zip(run(&sequence)).step_by(3) {
+            let mut alone = Directional::default();
+            let frame = energy(alone.estimate(&shot.frame, &mut StepTimes::default()).unwrap());
+            // What is smoothed away: within the gates of the gain and of a light that is a sixth of the whole.
+            assert!((energy(&row.estimate) / frame - 1.0).abs() < 0.02, "{} {} s: {} {frame}", sequence.name, row.time_s, energy(&row.estimate));
+        }
+    }
+}
+
+#[test]
+fn a_clipped_sky_is_one_light_at_any_share() {
+    let rows = run(&sequences::clipped_share());
+    assert!(rows.iter().all(|row| row.estimate.lights.len() == 1));
+    assert_eq!(comings_and_goings(&rows), 0);
+    assert!(largest(rows.iter().map(error_deg)) < 0.5);
+    // Away from the light the SH of a disc as wide as a sky ring, and clients clamp them.
+    assert!(least_residual(&rows) > -0.15, "{}", least_residual(&rows));
+}
+
+#[test]
+fn an_overcast_sky_has_no_light() {
+    assert_eq!(lit(&run(&sequences::overcast())), 0);
+}
+
+#[test]
+fn lights_follow_a_shaking_camera() {
+    let rows = run(&sequences::shake());
+    assert_eq!(lit(&rows), rows.len());
+    assert_steady(&rows, 0, 0.5, 0.05);
+    let error = rms(rows.iter().map(error_deg));
+    assert!(error < 0.25, "{error}");
+}
+
+#[test]
+fn a_faulty_frame_leaves_no_trace() {
+    let rows = run(&sequences::faulty_frame());
+    assert!(rows[45].estimate.mended > 100 && lit(&rows) == rows.len());
+    assert_steady(&rows, 0, 0.3, 0.02);
+}
+
+#[test]
+fn an_uneven_pace_changes_nothing() {
+    let rows = run(&sequences::uneven_pace());
+    assert_eq!(lit(&rows), rows.len());
+    assert_steady(&rows, 0, 0.5, 0.05);
+}
+
+#[test]
+fn time_that_runs_backwards_begins_anew() {
+    let sequence = sequences::still();
+    let mut method = Directional::default();
+    let mut shots = sequence.shots();
+    let mut estimate = |shot: sequences::Shot| method.estimate(&shot.frame, &mut StepTimes::default()).unwrap().clone();
+    let first = shots.next().map(&mut estimate).unwrap();
+    let later = shots.nth(10).map(&mut estimate).unwrap();
+    let again = sequence.shots().next().map(&mut estimate).unwrap();
+    assert!(first == again && first != later);
+}
+
 #[test]
 fn survey() {
-    for sequence in sequences::all() {
+    for sequence in sequences::all().into_iter().filter(|s| std::env::var("SEQ").map_or(true, |n| s.name.contains(&n))) {
         let rows = run(&sequence);
         let with_light = rows.iter().filter(|row| !row.estimate.lights.is_empty());
         let errors: Vec<f32> = with_light.clone().filter(|row| row.truth.lights.len() == 1).map(error_deg).collect();
         let strengths: Vec<f32> = with_light.map(|row| row.estimate.lights.iter().map(|l| l.irradiance.y).sum()).collect();
         let (direct, all) = largest_steps(&rows);
+        if std::env::var("SEQ").is_ok() {
+            for row in &rows {
+                println!("{:.3} {:?} sh0 {:.4} gain {:.3} {}", row.time_s, row.estimate.lights.iter().map(|l| (l.id, l.irradiance.y, degrees(l.direction, row.truth.lights[0].direction))).collect::<Vec<_>>(), row.estimate.sh[0].y, row.truth.gain.y, row.truth.lights[0].irradiance.y);
+            }
+        }
         println!(
             "{:24} lit {:3}/{:3} events {} error rms {:.3} worst {:.3} strength {:.4} var {:.4} steps {:.3} {:.3} residual {:.3}",
             sequence.name,

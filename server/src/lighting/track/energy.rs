@@ -12,6 +12,7 @@ use glam::{DVec3, Vec3};
 use mr360_protocol::light::{DirectionalLight, SH9};
 use mr360_shaders::sh::{IRRADIANCE_BAND, band, basis9};
 
+use super::assign::MOST;
 use super::life::Track;
 use super::{Estimate, Gains, LUMA, View};
 
@@ -76,6 +77,7 @@ impl Lights {
         estimate.sh.clear();
         estimate.sh.extend(sh.0.map(|coefficient| coefficient.as_vec3()));
         estimate.lights.clear();
+        estimate.lights.reserve(most);
         estimate.lights.extend(self.sent.iter().filter(|light| light.irradiance.max_element() > 0.0).map(|light| DirectionalLight {
             id: light.id,
             direction: light.direction,
@@ -88,6 +90,7 @@ impl Lights {
     /// The lights as the tracks would have them.
     fn choose(&mut self, tracks: &[Track], view: &View<'_>, gains: Gains, most: usize) {
         self.sent.clear();
+        self.sent.reserve(MOST);
         for track in tracks {
             let Some(id) = track.id.filter(|_| track.weight > 0.0) else { continue };
             let (irradiance, direction) = with_kin(track, tracks, view, gains);

@@ -137,6 +137,7 @@ impl Exposure {
     fn channel_gain(&mut self, coarse: &Coarse, range: Range, channel: usize) -> f64 {
         let middle = FIRST_ROW * COLUMNS..(ROWS - FIRST_ROW) * COLUMNS;
         self.ratios.clear();
+        self.ratios.reserve(COLUMNS * ROWS);
         for (radiance, reference) in coarse.radiance[middle.clone()].iter().zip(&self.reference[middle]) {
             if let Some(reference) = reference[channel].filter(|_| range.holds(radiance[channel])) {
                 self.ratios.push(radiance[channel].ln() - reference);
