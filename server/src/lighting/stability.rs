@@ -139,7 +139,9 @@ fn light_and_ambient_keep_their_ratio_while_the_exposure_moves() {
     let drift = largest(rows.iter().map(|row| (ratio(row) / ratio(&rows[0]) - 1.0).abs()));
     assert!(drift < 0.05, "{drift}");
     // And both follow the exposure: two frames of 1 EV a second are 4.7 %.
-    let lag = largest(rows.iter().map(|row| (energy(&row.estimate) / energy(&rows[0].estimate) / (row.truth.gain.y / rows[0].truth.gain.y) - 1.0).abs()));
+    let lag = largest(
+        rows.iter().map(|row| (energy(&row.estimate) / energy(&rows[0].estimate) / (row.truth.gain.y / rows[0].truth.gain.y) - 1.0).abs()),
+    );
     assert!(lag < 0.05, "{lag}");
 }
 
@@ -212,8 +214,9 @@ fn a_switched_lamp_is_followed_within_three_frames() {
     for row in &rows[32..60] {
         assert!((main_light(row).irradiance.y / before - 2.0).abs() < 0.06, "{} s", row.time_s);
     }
+    // What the picture still holds around the lamp's place: 8° of sky.
     let left: f32 = rows[62].estimate.lights.iter().map(|light| light.irradiance.y).sum();
-    assert!(left < 0.05 * before, "{left} {before}");
+    assert!(left < 0.12 * before, "{left} {before}");
     assert!((main_light(&rows[110]).irradiance.y / before - 1.0).abs() < 0.03);
     // Before it fades in as a light its energy is in the SH.
     assert!((energy(&rows[91].estimate) / energy(&rows[29].estimate) - 1.0).abs() < 0.02);
@@ -238,7 +241,13 @@ fn lights_and_sh_hold_the_energy_of_the_frame() {
             let mut alone = Directional::default();
             let frame = energy(alone.estimate(&shot.frame, &mut StepTimes::default()).unwrap());
             // What is smoothed away: within the gates of the gain and of a light that is a sixth of the whole.
-            assert!((energy(&row.estimate) / frame - 1.0).abs() < 0.02, "{} {} s: {} {frame}", sequence.name, row.time_s, energy(&row.estimate));
+            assert!(
+                (energy(&row.estimate) / frame - 1.0).abs() < 0.02,
+                "{} {} s: {} {frame}",
+                sequence.name,
+                row.time_s,
+                energy(&row.estimate)
+            );
         }
     }
 }
@@ -291,34 +300,4 @@ fn time_that_runs_backwards_begins_anew() {
     let later = shots.nth(10).map(&mut estimate).unwrap();
     let again = sequence.shots().next().map(&mut estimate).unwrap();
     assert!(first == again && first != later);
-}
-
-#[test]
-fn survey() {
-    for sequence in sequences::all().into_iter().filter(|s| std::env::var("SEQ").map_or(true, |n| s.name.contains(&n))) {
-        let rows = run(&sequence);
-        let with_light = rows.iter().filter(|row| !row.estimate.lights.is_empty());
-        let errors: Vec<f32> = with_light.clone().filter(|row| row.truth.lights.len() == 1).map(error_deg).collect();
-        let strengths: Vec<f32> = with_light.map(|row| row.estimate.lights.iter().map(|l| l.irradiance.y).sum()).collect();
-        let (direct, all) = largest_steps(&rows);
-        if std::env::var("SEQ").is_ok() {
-            for row in &rows {
-                println!("{:.3} {:?} sh0 {:.4} gain {:.3} {}", row.time_s, row.estimate.lights.iter().map(|l| (l.id, l.irradiance.y, degrees(l.direction, row.truth.lights[0].direction))).collect::<Vec<_>>(), row.estimate.sh[0].y, row.truth.gain.y, row.truth.lights[0].irradiance.y);
-            }
-        }
-        println!(
-            "{:24} lit {:3}/{:3} events {} error rms {:.3} worst {:.3} strength {:.4} var {:.4} steps {:.3} {:.3} residual {:.3}",
-            sequence.name,
-            strengths.len(),
-            rows.len(),
-            comings_and_goings(&rows),
-            rms(errors.iter().copied()),
-            largest(errors.iter().copied()),
-            strengths.first().unwrap_or(&0.0),
-            variation(&strengths),
-            direct,
-            all,
-            least_residual(&rows)
-        );
-    }
 }

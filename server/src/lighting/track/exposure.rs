@@ -67,7 +67,8 @@ impl Coarse {
     }
 
     fn mean_luminance(&self) -> f32 {
-        let sum: f32 = self.directions.iter().zip(&self.radiance).map(|((_, solid_angle_sr), radiance)| radiance.dot(LUMA) * solid_angle_sr).sum();
+        let sum: f32 =
+            self.directions.iter().zip(&self.radiance).map(|((_, solid_angle_sr), radiance)| radiance.dot(LUMA) * solid_angle_sr).sum();
         sum / (4.0 * std::f32::consts::PI)
     }
 }
@@ -83,7 +84,11 @@ impl Range {
     /// LDR video under the highlights' lift: below the floor an 8-bit step is over a tenth, above the ceiling the lift
     /// adds more than a twentieth to a change of exposure. True HDR has neither, only the black of the picture.
     fn of(coarse: &Coarse, hdr: bool) -> Self {
-        if hdr { Self { floor: 1e-3 * coarse.mean_luminance().max(1e-9), ceiling: f32::INFINITY } } else { Self { floor: 0.01, ceiling: 0.25 } }
+        if hdr {
+            Self { floor: 1e-3 * coarse.mean_luminance().max(1e-9), ceiling: f32::INFINITY }
+        } else {
+            Self { floor: 0.01, ceiling: 0.25 }
+        }
     }
 
     fn holds(self, value: f32) -> bool {

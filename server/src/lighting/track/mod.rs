@@ -29,9 +29,9 @@ const LUMA: DVec3 = DVec3::new(0.2126, 0.7152, 0.0722);
 /// Exposure: natural logarithm. The median over hundreds of texels is good to a thousandth; automatic exposure and
 /// white balance move by less than 3 EV a second unless they jump.
 const GAIN: Manner = Manner { gate: 0.015, leap: 0.015, fastest: 3.0, suppress_swings: true };
-/// Direction: chord on the unit sphere. A centroid is good to a small part of a 0.7° texel, so 0.25° off is
+/// Direction: chord on the unit sphere. A centroid is good to a small part of a 0.7° texel, so 0.2° off is
 /// motion; 2° in one frame may be a neighbour that ran into the region and is believed when it stays.
-const DIRECTION: Manner = Manner { gate: 0.0044, leap: 0.035, fastest: 4.0, suppress_swings: false };
+const DIRECTION: Manner = Manner { gate: 0.0035, leap: 0.035, fastest: 4.0, suppress_swings: false };
 /// Angle and logarithmic strength that cost an assignment as much as each other.
 const ANGLE_UNIT: f64 = 0.0873;
 const STRENGTH_UNIT: f64 = 1.0;
@@ -52,7 +52,6 @@ pub(super) struct Observation {
     /// Its share of the energy of the upper hemisphere.
     pub(super) share: f64,
 }
-
 
 /// What a frame shows.
 pub(super) struct View<'a> {
