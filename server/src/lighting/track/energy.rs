@@ -130,3 +130,50 @@ fn with_kin(track: &Track, tracks: &[Track], view: &View<'_>, gains: Gains) -> (
     }
     (sum.max(DVec3::ZERO), vector.try_normalize().unwrap_or(track.direction.value()))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Bounds, Coarse, Observation, life};
+    use super::*;
+
+    /// SH of a disc of radiance 1 about the zenith, and its energy.
+    fn disc(radius: f64) -> ([Vec3; SH9], f64) {
+        let (energy, cosine) = (std::f64::consts::TAU * (1.0 - radius.cos()), radius.cos());
+        // Of a zonal cap, the bands keep 1, (1 + c)/2 and c(1 + c)/2 of what a source without extent has.
+        let kept = [1.0, 0.5 * (1.0 + cosine), 0.5 * cosine * (1.0 + cosine)];
+        let mut index = 0..;
+        let sh = basis9(Vec3::Y).map(|basis| Vec3::splat((f64::from(basis) * energy * kept[band(index.next().unwrap())]) as f32));
+        (sh, energy)
+    }
+
+    /// What is sent when a disc is observed whole.
+    fn sent(radius: f64) -> (Estimate, [Vec3; SH9]) {
+        let (sh, energy) = disc(radius);
+        let seen = Observation { direction: DVec3::Y, irradiance: DVec3::splat(energy), solid_angle_sr: energy, share: 1.0 };
+        let gains = Gains { measured: DVec3::ONE, sent: DVec3::ONE };
+        let bounds = Bounds { birth: 0.04, death: 0.02, lights: 8 };
+        let mut tracks = Vec::new();
+        let shown = life::Shown { observations: &[seen], matched: [None; MOST], gains, dt_s: 0.0 };
+        life::observe(&mut tracks, &shown, bounds);
+        life::decide(&mut tracks, bounds, &mut 0, None);
+        let view = View { pts_us: 0, coarse: &Coarse::default(), hdr: true, sh: &sh, observations: &[seen] };
+        let mut estimate = Estimate::default();
+        Lights::default().send(&tracks, &view, gains, 8, &mut estimate);
+        (estimate, sh)
+    }
+
+    #[test]
+    fn no_light_is_stronger_than_what_the_surface_facing_it_receives() {
+        for radius in [0.05, 0.5, 0.9, 1.2] {
+            let (estimate, sh) = sent(radius);
+            let light = estimate.lights[0].irradiance.x;
+            let facing = mr360_shaders::sh::irradiance(&sh, Vec3::Y).x;
+            assert!((light - facing / FACING as f32).abs() < 1e-4 * light, "{radius}: {light} {facing}");
+            let left: f32 = estimate.sh.iter().zip(basis9(Vec3::Y)).enumerate().map(|(i, (c, y))| c.x * y * IRRADIANCE_BAND[band(i)]).sum();
+            assert!(left.abs() < 1e-4 * light, "{radius}: {left}");
+            // What the light does not hold is in the SH.
+            let energy = light + estimate.sh[0].x * (4.0 * std::f32::consts::PI).sqrt();
+            assert!((energy - disc(radius).1 as f32).abs() < 1e-4 * energy, "{radius}");
+        }
+    }
+}

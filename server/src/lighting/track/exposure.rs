@@ -194,3 +194,45 @@ impl Exposure {
         self.before.extend(coarse.radiance.iter().map(|radiance| radiance.dot(LUMA)));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::super::sampling::Grid;
+    use super::*;
+    use mr360_protocol::light::Lift;
+
+    /// A textured place; `block` is how many texels one of its patches is wide.
+    fn place(block: usize, gain: Vec3) -> Coarse {
+        let mut panorama = Panorama::new(Grid { width: 128, height: 64, supersample: 1 }, Lift::Linear);
+        for texel in 0..128 * 64 {
+            let (row, column) = (texel / 128 / block, texel % 128 / block);
+            panorama.set_radiance(texel, Vec3::new(0.05, 0.06, 0.07) * (1.0 + ((row * 7 + column * 13) % 11) as f32 / 5.0) * gain);
+        }
+        let mut coarse = Coarse::default();
+        coarse.take(&panorama);
+        coarse
+    }
+
+    #[test]
+    fn the_gain_of_each_channel_is_measured_and_is_no_cut() {
+        let mut exposure = Exposure::default();
+        let first = exposure.measure(&place(8, Vec3::ONE), false, 0.0);
+        assert_eq!(first, Change { gain: DVec3::ZERO, cut: false });
+        for gain in [Vec3::new(1.2, 1.0, 0.7), Vec3::splat(0.5), Vec3::new(0.3, 0.5, 0.4)] {
+            let change = exposure.measure(&place(8, gain), false, 1.0 / 30.0);
+            assert!((change.gain - gain.as_dvec3().ln()).abs().max_element() < 1e-5, "{gain}: {change:?}");
+            assert!(!change.cut, "{gain}");
+        }
+    }
+
+    #[test]
+    fn what_changes_in_a_small_part_is_neither_gain_nor_cut_and_another_place_is_a_cut() {
+        let mut exposure = Exposure::default();
+        exposure.measure(&place(8, Vec3::ONE), false, 0.0);
+        let mut lit = place(8, Vec3::ONE);
+        lit.radiance.chunks_mut(COLUMNS).for_each(|row| row[..COLUMNS / 4].iter_mut().for_each(|texel| *texel *= 2.0));
+        let change = exposure.measure(&lit, false, 1.0 / 30.0);
+        assert!(change.gain.abs().max_element() < 1e-5 && !change.cut, "{change:?}");
+        assert!(exposure.measure(&place(6, Vec3::ONE), false, 1.0 / 30.0).cut);
+    }
+}

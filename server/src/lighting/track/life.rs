@@ -164,10 +164,9 @@ pub(super) fn observe(tracks: &mut Vec<Track>, shown: &Shown<'_>, bounds: Bounds
     let mut altered = [false; MOST];
     for track in 0..known {
         let (lost, back) = (shown.matched[track].is_none(), tracks[track].seen.is_none());
-        if lost && tracks[track].weight > 0.0 {
-            if let Some(heir) = heir(tracks, track, shown) {
-                tracks[track].kin = tracks[heir].id;
-            }
+        let heir = Some(track).filter(|_| lost && tracks[track].weight > 0.0).and_then(|track| heir(tracks, track, shown));
+        if let Some(heir) = heir {
+            tracks[track].kin = tracks[heir].id;
         }
         // Two that ran together, and two that come apart again: the other one changes with it.
         let kin = tracks[track].kin.filter(|_| lost != back);
@@ -257,5 +256,44 @@ fn make_room(tracks: &mut [Track], newborn: usize, most: usize) -> bool {
             true
         }
         _ => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GAINS: Gains = Gains { measured: DVec3::ONE, sent: DVec3::ONE };
+    const BOUNDS: Bounds = Bounds { birth: 0.04, death: 0.02, lights: 8 };
+    const DT_S: f64 = 1.0 / 30.0;
+
+    /// Ids alive and their weights, frame by frame, of one light with these shares of the energy.
+    fn lives(shares: impl IntoIterator<Item = f64>) -> Vec<(Option<u32>, f64)> {
+        let (mut tracks, mut next_id) = (Vec::new(), 0);
+        let frame = |share: f64| {
+            let seen = Observation { direction: DVec3::Y, irradiance: DVec3::splat(share), solid_angle_sr: 0.01, share };
+            let mut matched = [None; MOST];
+            matched[0] = Some(0).filter(|_| !tracks.is_empty());
+            observe(&mut tracks, &Shown { observations: &[seen], matched, gains: GAINS, dt_s: DT_S }, BOUNDS);
+            decide(&mut tracks, BOUNDS, &mut next_id, Some(DT_S));
+            tracks.first().map_or((None, 0.0), |track| (track.id.filter(|_| track.alive), track.weight))
+        };
+        shares.into_iter().map(frame).collect()
+    }
+
+    #[test]
+    fn a_share_that_wavers_about_the_upper_bound_makes_one_light() {
+        let lives = lives((0..60).map(|frame| if frame % 4 < 2 { 0.05 } else { 0.03 }));
+        assert!(lives[0].0.is_none() && lives[1].0 == Some(0), "{lives:?}");
+        assert!(lives[1..].iter().all(|(id, _)| *id == Some(0)), "{lives:?}");
+        // It fades in within 0.2 s: six frames from its second.
+        assert!(lives[5].1 < 1.0 && lives[7].1 == 1.0, "{lives:?}");
+    }
+
+    #[test]
+    fn one_weak_frame_is_no_death_and_many_are() {
+        let lives = lives((0..40).map(|frame| if frame == 20 || frame >= 30 { 0.01 } else { 0.05 }));
+        assert!(lives[10..31].iter().all(|life| *life == (Some(0), 1.0)), "{lives:?}");
+        assert!(lives[31].0.is_none() && lives[31].1 > 0.8 && lives[37].1 == 0.0, "{lives:?}");
     }
 }
