@@ -131,7 +131,7 @@ impl Track {
     }
 }
 
-/// What a frame shows, and of which track; canonical where `gains` says so.
+/// What a frame shows, and of which track.
 pub(super) struct Shown<'a> {
     pub(super) observations: &'a [Observation],
     /// The observation of each track.
