@@ -5,8 +5,8 @@
 //! weighted by solid angle, a threshold that cannot pass the brightest texel, regions that are whole across the
 //! seam and the zenith, directions averaged as vectors, and lights only where they matter to the frame.
 
-use glam::Vec3;
-use mr360_protocol::light::{DirectionalLight, Lift};
+use glam::{DVec3, Vec3};
+use mr360_protocol::light::{Lift, SH9};
 use mr360_protocol::video::Colour;
 use mr360_shaders::colour::radiance_from_code;
 
@@ -16,6 +16,7 @@ use super::panorama::Panorama;
 use super::recovery::recover;
 use super::regions::{Regions, Topology, most_regions};
 use super::sampling::Grid;
+use super::track::{Bounds, Coarse, MOST_OBSERVATIONS, Observation, Tracker, View};
 use super::{Estimate, LightError, LightMethod, StepTimes};
 use crate::frame::Frame;
 
@@ -31,6 +32,9 @@ pub const MOST_LIGHTS: usize = 8;
 /// off an open ground. The brighter middle of a standard overcast sky stands at 0.031, the specks that any threshold
 /// finds in an even noisy sky far below.
 const LEAST_SHARE: f64 = 0.04;
+/// A light is kept down to this share: its shadow takes at most 4 % off, twice the least contrast that is seen
+/// (Weber's 2 %), and fades there. Half of [`LEAST_SHARE`], so that nothing short of a halving makes a light come and go.
+const LAST_SHARE: f64 = 0.02;
 
 /// The default method; see the module.
 pub struct Directional {
@@ -40,6 +44,9 @@ pub struct Directional {
     luminance: Vec<f32>,
     regions: Regions,
     candidates: Candidates,
+    observations: Vec<Observation>,
+    coarse: Coarse,
+    tracker: Tracker,
     estimate: Estimate,
 }
 
@@ -52,6 +59,9 @@ impl Default for Directional {
             luminance: vec![0.0; width * UPPER_ROWS],
             regions: Regions::new(width, UPPER_ROWS),
             candidates: Candidates::new(most_regions(width, UPPER_ROWS)),
+            observations: Vec::with_capacity(MOST_OBSERVATIONS),
+            coarse: Coarse::default(),
+            tracker: Tracker::new(Bounds { birth: LEAST_SHARE, death: LAST_SHARE, lights: MOST_LIGHTS }),
             estimate: Estimate { lights: Vec::with_capacity(MOST_LIGHTS), ..Estimate::default() },
         }
     }
@@ -96,19 +106,16 @@ impl Directional {
         Statistics { mean, deviation, peak: f64::from(peak), energy: first }
     }
 
-    fn find_lights(&mut self, statistics: &Statistics, steps: &mut StepTimes) {
+    fn find_candidates(&mut self, statistics: &Statistics, steps: &mut StepTimes) {
         let threshold = statistics.threshold();
         steps.time("regions", || {
             self.regions.find(SIZE.width as usize, &self.luminance, Topology::Panorama, |luminance| luminance > threshold);
         });
-        steps.time("lights", || {
+        steps.time("candidates", || {
             self.candidates.collect(&self.panorama, &self.regions, LUMA, threshold);
-            let list = self.candidates.list();
-            let least = LEAST_SHARE * statistics.energy;
-            let chosen = list.iter().take(MOST_LIGHTS).take_while(|candidate| candidate.strength >= least).count();
-            self.estimate.lights.clear();
-            self.estimate.lights.extend(list[..chosen].iter().zip(0..).map(|(candidate, id)| light(candidate, id)));
-            self.candidates.take_out(chosen, &mut self.panorama, &self.regions, LUMA, threshold);
+            let strongest = self.candidates.list().iter().take(MOST_OBSERVATIONS);
+            self.observations.clear();
+            self.observations.extend(strongest.map(|candidate| observation(candidate, statistics.energy)));
         });
     }
 }
@@ -127,13 +134,13 @@ fn row_sums(row: &[f32]) -> (f64, f64, f32) {
     (total(sums), total(squares), largest.into_iter().fold(0.0, f32::max))
 }
 
-fn light(candidate: &Candidate, id: u32) -> DirectionalLight {
-    DirectionalLight {
-        id,
+fn observation(candidate: &Candidate, energy: f64) -> Observation {
+    Observation {
         // Texels of one hemisphere cannot cancel out, except on its rim; straight up is as good as any then.
-        direction: candidate.direction.as_vec3().try_normalize().unwrap_or(Vec3::Y),
-        irradiance: candidate.irradiance.as_vec3(),
-        solid_angle_sr: candidate.effective_solid_angle_sr() as f32,
+        direction: candidate.direction.try_normalize().unwrap_or(DVec3::Y),
+        irradiance: candidate.irradiance,
+        solid_angle_sr: candidate.effective_solid_angle_sr(),
+        share: candidate.strength / energy,
     }
 }
 
@@ -153,8 +160,22 @@ impl LightMethod for Directional {
             steps.time("recover", || recover(&mut self.panorama, self.white, LUMA));
         }
         let statistics = steps.time("threshold", || self.statistics());
-        self.find_lights(&statistics, steps);
-        steps.time("sh", || self.estimate.project(&self.panorama, project9));
+        self.find_candidates(&statistics, steps);
+        let mut sh = [Vec3::ZERO; SH9];
+        steps.time("sh", || project9(&self.panorama, &mut sh));
+        steps.time("track", || {
+            self.coarse.take(&self.panorama);
+            let view = View {
+                pts_us: frame.pts_us,
+                coarse: &self.coarse,
+                hdr: self.panorama.lift() != Lift::Highlights,
+                sh: &sh,
+                observations: &self.observations,
+            };
+            self.tracker.track(&view, &mut self.estimate);
+        });
+        self.estimate.lift = self.panorama.lift();
+        self.estimate.mended = self.panorama.mended;
         Ok(&self.estimate)
     }
 }

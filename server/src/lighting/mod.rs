@@ -28,12 +28,16 @@ mod radiance;
 mod recovery;
 mod regions;
 mod sampling;
+pub mod sequences;
 mod series;
 mod spec;
 mod spherical;
+#[cfg(test)]
+mod stability;
 mod steps;
 #[cfg(test)]
 mod test_skies;
+mod track;
 
 pub use directional::{Directional, MOST_LIGHTS};
 pub use iorns::Iorns;

@@ -1,0 +1,179 @@
+//! What is sent: lights, and SH of all that they do not hold.
+//!
+//! The panorama in the exposure that is sent, with every observed light at its followed direction and intensity in place of what the frame happens to show,
+//! holds the energy of the frame up to what was smoothed away. The lights that are sent are taken out of its SH as clients
+//! put them back, as sources without extent. So lights plus SH hold the energy once whatever part of a light is sent, and
+//! what wavers in a light does not come back with the opposite sign through the SH.
+//!
+//! A source without extent is a poor picture of a wide light: taken out whole it leaves negative irradiance behind, which
+//! clients clamp. No light is therefore sent stronger than what the surfaces facing it receive.
+
+use glam::{DVec3, Vec3};
+use mr360_protocol::light::{DirectionalLight, SH9};
+use mr360_shaders::sh::{IRRADIANCE_BAND, band, basis9};
+
+use super::assign::MOST;
+use super::life::Track;
+use super::{Estimate, Gains, LUMA, View};
+
+/// Irradiance that bands 0 to 2 give on a surface facing a light of irradiance 1: ¼ + ½ + 5/16.
+const FACING: f64 = 1.0625;
+/// A light out of sight may still be in the picture, up to this angle beyond its rim: the reach of a coarse texel's
+/// corner.
+const REACH: f64 = 0.07;
+
+/// One light to be sent.
+#[derive(Debug, Clone, Copy)]
+struct Sent {
+    id: u32,
+    direction: Vec3,
+    irradiance: DVec3,
+    solid_angle_sr: f64,
+}
+
+/// Makes what is sent; the buffer is reused.
+#[derive(Default)]
+pub(super) struct Lights {
+    sent: Vec<Sent>,
+}
+
+/// SH in double precision, so that taking out what was put in leaves nothing.
+struct Harmonics([DVec3; SH9]);
+
+impl Harmonics {
+    fn add(&mut self, direction: Vec3, irradiance: DVec3) {
+        for (sum, basis) in self.0.iter_mut().zip(basis9(direction)) {
+            *sum += irradiance * f64::from(basis);
+        }
+    }
+
+    /// Irradiance before any clamp.
+    fn irradiance(&self, normal: Vec3) -> DVec3 {
+        let terms = self.0.iter().zip(basis9(normal)).enumerate();
+        terms.map(|(index, (coefficient, basis))| *coefficient * f64::from(basis * IRRADIANCE_BAND[band(index)])).sum()
+    }
+}
+
+impl Lights {
+    /// Writes lights and SH into `estimate`; at most `most` lights, strongest first.
+    pub(super) fn send(&mut self, tracks: &[Track], view: &View<'_>, gains: Gains, most: usize, estimate: &mut Estimate) {
+        self.choose(tracks, view, gains, most);
+        let scale = gains.sent / gains.measured;
+        let mut sh = Harmonics(view.sh.map(|coefficient| coefficient.as_dvec3() * scale));
+        for track in tracks {
+            if let Some(seen) = &track.seen {
+                sh.add(seen.direction.as_vec3(), -seen.irradiance * scale);
+                sh.add(track.direction.value().as_vec3(), irradiance(track, gains));
+            }
+        }
+        for light in &self.sent {
+            sh.add(light.direction, -light.irradiance);
+        }
+        for light in &mut self.sent {
+            let lacking = (-sh.irradiance(light.direction) / FACING).max(DVec3::ZERO).min(light.irradiance);
+            light.irradiance -= lacking;
+            sh.add(light.direction, lacking);
+        }
+        estimate.sh.clear();
+        estimate.sh.extend(sh.0.map(|coefficient| coefficient.as_vec3()));
+        estimate.lights.clear();
+        estimate.lights.reserve(most);
+        estimate.lights.extend(self.sent.iter().filter(|light| light.irradiance.max_element() > 0.0).map(|light| DirectionalLight {
+            id: light.id,
+            direction: light.direction,
+            irradiance: light.irradiance.as_vec3(),
+            solid_angle_sr: light.solid_angle_sr as f32,
+        }));
+        estimate.lights.sort_unstable_by(|a, b| b.irradiance.dot(LUMA.as_vec3()).total_cmp(&a.irradiance.dot(LUMA.as_vec3())));
+    }
+
+    /// The lights as the tracks would have them.
+    fn choose(&mut self, tracks: &[Track], view: &View<'_>, gains: Gains, most: usize) {
+        self.sent.clear();
+        self.sent.reserve(MOST);
+        for track in tracks {
+            let Some(id) = track.id.filter(|_| track.weight > 0.0) else { continue };
+            let (irradiance, direction) = with_kin(track, tracks, view, gains);
+            self.sent.push(Sent { id, direction: direction.as_vec3().normalize(), irradiance, solid_angle_sr: track.solid_angle_sr() });
+        }
+        self.sent.sort_unstable_by(|a, b| b.irradiance.dot(LUMA).total_cmp(&a.irradiance.dot(LUMA)));
+        self.sent.truncate(most);
+    }
+}
+
+/// Followed irradiance in the exposure that is sent.
+fn irradiance(track: &Track, gains: Gains) -> DVec3 {
+    track.intensity.value().exp() * gains.sent
+}
+
+/// The part of a track that is sent as its own light. What is out of sight is not sent stronger than what the picture
+/// still holds around its direction.
+fn own(track: &Track, view: &View<'_>, gains: Gains) -> DVec3 {
+    let sent = irradiance(track, gains) * track.weight;
+    // What ran into its kin is in the picture under the kin's name.
+    if track.seen.is_some() || track.kin.is_some() {
+        return sent;
+    }
+    let cosine = (track.radius() + REACH).cos() as f32;
+    sent.min(view.coarse.within(track.direction.value().as_vec3(), cosine) * gains.sent / gains.measured)
+}
+
+/// Irradiance and direction of a track's light: its own, and what it holds of those that come out of it or ran into it.
+fn with_kin(track: &Track, tracks: &[Track], view: &View<'_>, gains: Gains) -> (DVec3, DVec3) {
+    let mut sum = own(track, view, gains);
+    let mut vector = track.direction.value() * sum.dot(LUMA);
+    for other in tracks.iter().filter(|other| other.kin.is_some() && other.kin == track.id) {
+        let whole = irradiance(other, gains);
+        let held = if other.seen.is_some() { whole * (1.0 - other.weight) } else { whole * -other.weight };
+        sum += held;
+        vector += other.direction.value() * held.dot(LUMA);
+    }
+    (sum.max(DVec3::ZERO), vector.try_normalize().unwrap_or(track.direction.value()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Bounds, Coarse, Observation, life};
+    use super::*;
+
+    /// SH of a disc of radiance 1 about the zenith, and its energy.
+    fn disc(radius: f64) -> ([Vec3; SH9], f64) {
+        let (energy, cosine) = (std::f64::consts::TAU * (1.0 - radius.cos()), radius.cos());
+        // Of a zonal cap, the bands keep 1, (1 + c)/2 and c(1 + c)/2 of what a source without extent has.
+        let kept = [1.0, 0.5 * (1.0 + cosine), 0.5 * cosine * (1.0 + cosine)];
+        let mut index = 0..;
+        let sh = basis9(Vec3::Y).map(|basis| Vec3::splat((f64::from(basis) * energy * kept[band(index.next().unwrap())]) as f32));
+        (sh, energy)
+    }
+
+    /// What is sent when a disc is observed whole.
+    fn sent(radius: f64) -> (Estimate, [Vec3; SH9]) {
+        let (sh, energy) = disc(radius);
+        let seen = Observation { direction: DVec3::Y, irradiance: DVec3::splat(energy), solid_angle_sr: energy, share: 1.0 };
+        let gains = Gains { measured: DVec3::ONE, sent: DVec3::ONE };
+        let bounds = Bounds { birth: 0.04, death: 0.02, lights: 8 };
+        let mut tracks = Vec::new();
+        let shown = life::Shown { observations: &[seen], matched: [None; MOST], gains, dt_s: 0.0 };
+        life::observe(&mut tracks, &shown, bounds);
+        life::decide(&mut tracks, bounds, &mut 0, None);
+        let view = View { pts_us: 0, coarse: &Coarse::default(), hdr: true, sh: &sh, observations: &[seen] };
+        let mut estimate = Estimate::default();
+        Lights::default().send(&tracks, &view, gains, 8, &mut estimate);
+        (estimate, sh)
+    }
+
+    #[test]
+    fn no_light_is_stronger_than_what_the_surface_facing_it_receives() {
+        for radius in [0.05, 0.5, 0.9, 1.2] {
+            let (estimate, sh) = sent(radius);
+            let light = estimate.lights[0].irradiance.x;
+            let facing = mr360_shaders::sh::irradiance(&sh, Vec3::Y).x;
+            assert!((light - facing / FACING as f32).abs() < 1e-4 * light, "{radius}: {light} {facing}");
+            let left: f32 = estimate.sh.iter().zip(basis9(Vec3::Y)).enumerate().map(|(i, (c, y))| c.x * y * IRRADIANCE_BAND[band(i)]).sum();
+            assert!(left.abs() < 1e-4 * light, "{radius}: {left}");
+            // What the light does not hold is in the SH.
+            let energy = light + estimate.sh[0].x * (4.0 * std::f32::consts::PI).sqrt();
+            assert!((energy - disc(radius).1 as f32).abs() < 1e-4 * energy, "{radius}");
+        }
+    }
+}
