@@ -6,6 +6,7 @@ use clap::{Parser, Subcommand};
 use mr360_client::gpu::GpuError;
 use mr360_client::join::{self, Failure, JoinArgs};
 use mr360_client::render::{self, RenderArgs};
+use mr360_protocol::failure;
 
 /// Joins live 360° broadcasts and draws virtual objects into them.
 #[derive(Parser)]
@@ -36,12 +37,5 @@ fn main() -> ExitCode {
             false => Failure::Input(error),
         }),
     };
-    // Exit codes: 1 failed while running, 2 wrong usage or input.
-    let (error, code) = match result {
-        Ok(()) => return ExitCode::SUCCESS,
-        Err(Failure::Running(error)) => (error, 1),
-        Err(Failure::Input(error)) => (error, 2),
-    };
-    eprintln!("error: {error:#}");
-    ExitCode::from(code)
+    failure::exit(result)
 }

@@ -29,13 +29,7 @@ use inbox::Inbox;
 use live_stage::SharedScene;
 
 /// Why the client ended.
-#[derive(Debug)]
-pub enum Failure {
-    /// Wrong usage or input: nothing was shown.
-    Input(anyhow::Error),
-    /// It broke off.
-    Running(anyhow::Error),
-}
+pub type Failure = mr360_protocol::failure::Failure<anyhow::Error>;
 
 /// Joins a broadcast and presents it until the user, a limit, or the broadcast's end.
 ///

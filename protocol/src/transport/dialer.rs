@@ -182,7 +182,7 @@ impl Dialer {
     }
 
     fn url(&self) -> String {
-        without_secrets(&self.endpoint)
+        without_secrets(&self.endpoint).to_string()
     }
 
     fn fault(&self, fault: String) -> DialError {
