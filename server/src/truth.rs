@@ -51,7 +51,7 @@ fn plaza(source: &str) -> anyhow::Result<Plaza> {
 }
 
 fn print(plaza: &mut Plaza, frame: u64, out: &mut impl Write) -> anyhow::Result<()> {
-    match plaza.write_truth_json(frame, out).and_then(|()| out.flush()) {
+    match plaza.write_truth_json(frame, &mut *out).and_then(|()| out.flush()) {
         Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
         written => written.context("standard output: cannot be written"),
     }

@@ -77,7 +77,7 @@ async fn publish_drags(
     intents: &mut mpsc::UnboundedReceiver<Intent>,
 ) -> anyhow::Result<()> {
     let broadcast = origin.create_broadcast(path)?;
-    let mut track = broadcast.create_track(track::INTENT, track::scene_info())?;
+    let track = broadcast.create_track(track::INTENT, track::scene_info())?;
     broadcast.announce(moq_net::origin::Route::default())?;
     let mut group: Option<moq_net::group::Producer> = None;
     let mut written = 0;

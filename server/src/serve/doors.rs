@@ -119,15 +119,16 @@ fn listen(settings: &Settings, address: SocketAddr) -> anyhow::Result<(Listener,
     Ok((listener, JoinUrl { endpoint, room: settings.room.clone(), fingerprint }))
 }
 
-/// Prints the line once, whoever comes first.
-fn announce(join: &JoinUrl, announced: &AtomicBool) {
+/// Prints the line once, whoever comes first; true for the first.
+fn announce(join: &JoinUrl, announced: &AtomicBool) -> bool {
     if announced.swap(true, Ordering::Relaxed) {
-        return;
+        return false;
     }
     let mut out = std::io::stdout().lock();
     if let Err(error) = writeln!(out, "join: {join}").and_then(|()| out.flush()) {
         tracing::warn!(%error, %join, "the join URL could not be printed on standard output");
     }
+    true
 }
 
 /// An address that others can reach a listener at: for one that listens everywhere, this host's own towards the world.
@@ -139,4 +140,33 @@ fn reachable(address: SocketAddr) -> IpAddr {
     let outward = UdpSocket::bind((IpAddr::from([0, 0, 0, 0]), 0))
         .and_then(|socket| socket.connect((IpAddr::from([192, 0, 2, 1]), 9)).and_then(|()| socket.local_addr()));
     outward.map_or(IpAddr::from([127, 0, 0, 1]), |address| address.ip())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::serve::ServeArgs;
+    use mr360_protocol::transport;
+
+    #[tokio::test]
+    async fn a_relay_of_the_wrong_fingerprint_ends_a_server_without_a_listener() {
+        let folder = tempfile::tempdir().unwrap();
+        let relay = Listener::bind("127.0.0.1:0".parse().unwrap(), Certificate::load_or_make(folder.path()).unwrap()).unwrap();
+        let publish = format!("https://{}/?jwt=secret#sha256={}", relay.address(), "07".repeat(32));
+        tokio::spawn(relay.serve(Roles::default()));
+        let source = Some("synthetic:plaza".to_owned());
+        let args = ServeArgs { source, publish: Some(publish), state: Some(folder.path().to_owned()), ..ServeArgs::default() };
+        let doors = Doors::prepare(&args.settle().unwrap()).unwrap();
+        let mut open = doors.open(&transport::origin()).unwrap();
+        let error = format!("{:#}", open.failed().await);
+        assert!(error.contains("--publish") && error.contains(&"07".repeat(32)) && !error.contains("secret"), "{error}");
+    }
+
+    #[test]
+    fn the_line_is_printed_once() {
+        let join = JoinUrl { endpoint: "https://host/".parse().unwrap(), room: "live".to_owned(), fingerprint: None };
+        let announced = AtomicBool::new(false);
+        assert!(announce(&join, &announced));
+        assert!(!announce(&join, &announced));
+    }
 }

@@ -114,3 +114,19 @@ async fn finished(ingest: &IngestHandle) {
         poll.tick().await;
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn the_port_is_taken_before_the_source_is_looked_at() {
+        let folder = tempfile::tempdir().unwrap();
+        let holder = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
+        let taken = holder.local_addr().unwrap();
+        let source = Some("synthetic:moon".to_owned());
+        let args = ServeArgs { source, listen: Some(taken), state: Some(folder.path().to_owned()), ..ServeArgs::default() };
+        let Err(Failure::Input(error)) = run(args).await else { panic!("a taken port was taken") };
+        assert!(error.to_string().contains(&taken.to_string()), "{error:#}");
+    }
+}
