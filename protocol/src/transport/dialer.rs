@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 use rustls::client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier};
 use rustls::{DigitallySignedStruct, SignatureScheme};
 use rustls_pki_types::{CertificateDer, ServerName, UnixTime};
+use tokio::sync::watch;
 use url::Url;
 use web_transport_quinn::proto::ConnectRequest;
 
@@ -13,7 +14,7 @@ use crate::join::without_secrets;
 
 use super::certificate::fingerprint;
 use super::closer::HOST_ENDED;
-use super::{ALPN_H3, Closer, Roles, crypto_provider, subprotocols, transport_config};
+use super::{ALPN_H3, Closer, Roles, closer, crypto_provider, subprotocols, transport_config};
 
 /// First wait before a new try; doubles up to [`MAX_BACKOFF`].
 const MIN_BACKOFF: Duration = Duration::from_millis(250);
@@ -29,6 +30,7 @@ pub struct Dialer {
     endpoint: Url,
     /// False when the system's authorities decide.
     pinned: bool,
+    ending: watch::Sender<bool>,
 }
 
 /// Why there is no connection. URLs are shown without what may be secret in them.
@@ -133,13 +135,13 @@ impl Dialer {
         // A v6 socket reaches v4 hosts too; hosts without v6 have only the other.
         let socket = quinn::Endpoint::client(any_v6).or_else(|_| quinn::Endpoint::client(any_v4)).map_err(|error| setup(&error))?;
         let client = web_transport_quinn::Client::new(socket.clone(), config);
-        Ok(Self { client, socket, endpoint, pinned: expected.is_some() })
+        Ok(Self { client, socket, endpoint, pinned: expected.is_some(), ending: watch::Sender::new(false) })
     }
 
     /// Ends the connection, whichever it is then.
     #[must_use]
     pub fn closer(&self) -> Closer {
-        Closer::new(&self.socket)
+        Closer::new(&self.socket, &self.ending)
     }
 
     /// Connects, serves the roles until the connection is lost, and connects again with backoff, for as long
@@ -153,7 +155,7 @@ impl Dialer {
                 Ok((session, driver)) => {
                     (backoff, connected_once) = (MIN_BACKOFF, true);
                     event(LinkEvent::Up(session.version().to_string()));
-                    let end = moq_net::time::run(driver).await;
+                    let end = closer::run(&session, driver, self.ending.subscribe()).await;
                     // The driver may have failed on a stream; why the connection closed is known to the session.
                     LinkEvent::Down { fault: self.end(&end, &session.closed().await), retry_in: backoff }
                 }

@@ -4,11 +4,11 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Instant;
 
-use tokio::sync::Semaphore;
+use tokio::sync::{Semaphore, watch};
 use web_transport_quinn::Request;
 use web_transport_quinn::proto::ConnectResponse;
 
-use super::{ALPN_H3, Certificate, Closer, Roles, crypto_provider, subprotocols, transport_config};
+use super::{ALPN_H3, Certificate, Closer, Roles, closer, crypto_provider, subprotocols, transport_config};
 
 /// Handshakes under way at once; more are refused until some end, so that a flood costs bounded memory.
 const MAX_HANDSHAKES: usize = 256;
@@ -22,6 +22,7 @@ pub struct Listener {
     endpoint: quinn::Endpoint,
     address: SocketAddr,
     max_sessions: usize,
+    ending: watch::Sender<bool>,
 }
 
 /// Why nobody can be served.
@@ -59,7 +60,7 @@ impl Listener {
         let bind_error = |error: std::io::Error| ListenError::Bind { address, fault: error.to_string() };
         let endpoint = quinn::Endpoint::server(config, address).map_err(bind_error)?;
         let address = endpoint.local_addr().map_err(bind_error)?;
-        Ok(Self { endpoint, address, max_sessions: MAX_SESSIONS })
+        Ok(Self { endpoint, address, max_sessions: MAX_SESSIONS, ending: watch::Sender::new(false) })
     }
 
     /// The address it is bound to.
@@ -71,7 +72,7 @@ impl Listener {
     /// Ends what this listener serves.
     #[must_use]
     pub fn closer(&self) -> Closer {
-        Closer::new(&self.endpoint)
+        Closer::new(&self.endpoint, &self.ending)
     }
 
     #[cfg(test)]
@@ -94,14 +95,14 @@ impl Listener {
                 incoming.refuse();
                 continue;
             };
-            let roles = roles.clone();
+            let (roles, ending) = (roles.clone(), self.ending.subscribe());
             tokio::spawn(async move {
                 let handshake = tokio::time::timeout(HANDSHAKE_TIMEOUT, accept(incoming, roles)).await;
                 drop(handshake_permit);
                 match handshake {
                     Ok(Ok((session, driver))) => {
                         tracing::info!(%peer, "viewer connected");
-                        let end = moq_net::time::run(driver).await;
+                        let end = closer::run(&session, driver, ending).await;
                         // Dropped earlier, the handle would have asked for the session's end.
                         drop(session);
                         tracing::info!(%peer, %end, "viewer gone");
