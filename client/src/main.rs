@@ -6,6 +6,7 @@ use clap::{Parser, Subcommand};
 use mr360_client::gpu::GpuError;
 use mr360_client::join::{self, Failure, JoinArgs};
 use mr360_client::render::{self, RenderArgs};
+use mr360_protocol::failure;
 
 /// Joins live 360° broadcasts and draws virtual objects into them.
 #[derive(Parser)]
@@ -29,19 +30,16 @@ fn main() -> ExitCode {
     tracing_subscriber::fmt().with_env_filter(filter).with_ansi(colours).with_writer(std::io::stderr).init();
     // What fails is told by our own errors; FFmpeg would add a line for every device that it probes in vain.
     ffmpeg_next::log::set_level(ffmpeg_next::log::Level::Fatal);
-    let result = match cli.command {
+    let result = ffmpeg_next::init().map_err(|error| Failure::Running(anyhow::anyhow!("FFmpeg cannot be used: {error}")));
+    failure::exit(result.and_then(|()| run(cli.command)))
+}
+
+fn run(command: Command) -> Result<(), Failure> {
+    match command {
         Command::Join(args) => join::run(args),
         Command::Render(args) => render::run(&args).map_err(|error| match error.is::<GpuError>() {
             true => Failure::Running(error),
             false => Failure::Input(error),
         }),
-    };
-    // Exit codes: 1 failed while running, 2 wrong usage or input.
-    let (error, code) = match result {
-        Ok(()) => return ExitCode::SUCCESS,
-        Err(Failure::Running(error)) => (error, 1),
-        Err(Failure::Input(error)) => (error, 2),
-    };
-    eprintln!("error: {error:#}");
-    ExitCode::from(code)
+    }
 }

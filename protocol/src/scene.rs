@@ -152,7 +152,8 @@ pub enum SceneMessage {
 /// A user's wish; the server decides.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Intent {
-    /// Counts this user's intents; a lower one that comes late is dropped.
+    /// Rises with every intent of this user, also over a restart of their program (it begins at the time of day); a lower one that
+    /// comes late is dropped.
     pub sequence: u64,
     /// What is wished for.
     pub action: Action,
@@ -203,7 +204,8 @@ impl Scene {
         match message {
             SceneMessage::Snapshot(scene) => self.clone_from(scene),
             SceneMessage::Delta { revision, changes } => {
-                if *revision != self.revision + 1 {
+                // A snapshot may carry any revision, the last one included: then nothing can follow it.
+                if self.revision.checked_add(1) != Some(*revision) {
                     return Err(ApplyError::Gap { have: self.revision, got: *revision });
                 }
                 let mut next = self.clone();
@@ -365,6 +367,14 @@ mod tests {
             Err(ApplyError::NoSuchObject(ObjectId(9)))
         );
         assert_eq!(scene, before);
+    }
+
+    #[test]
+    fn nothing_follows_the_last_revision() {
+        let mut scene = Scene::default();
+        scene.apply(&SceneMessage::Snapshot(Scene { revision: u64::MAX, ..Scene::default() })).unwrap();
+        let delta = SceneMessage::Delta { revision: 0, changes: vec![] };
+        assert_eq!(scene.apply(&delta), Err(ApplyError::Gap { have: u64::MAX, got: 0 }));
     }
 
     #[test]

@@ -10,6 +10,7 @@
 //! material = { base_color = [0.8, 0.8, 0.8], roughness = 0.3, metallic = 0.0, kind = "opaque" }
 //! ```
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use glam::{EulerRot, Quat, Vec3};
@@ -192,20 +193,28 @@ impl SceneFile {
         models
     }
 
-    /// The scene, with each model file replaced by the asset that `asset_of` makes of it.
+    /// The scene, with each model file replaced by the asset that `asset_of` makes of it; asked once for each file.
     ///
     /// # Errors
     /// What `asset_of` fails with, with the object that names the model.
     pub fn resolve<E: std::fmt::Display>(&self, mut asset_of: impl FnMut(&Path) -> Result<AssetId, E>) -> Result<Scene, SceneFileError> {
+        let mut known: HashMap<&Path, AssetId> = HashMap::new();
         let mut scene = Scene { revision: 0, ground_y: self.ground_y, objects: Vec::with_capacity(self.objects.len()) };
         for (id, (geometry, transform, material)) in (1..).zip(&self.objects) {
             let geometry = match geometry {
                 FileGeometry::Shape(shape) => Geometry::Shape(*shape),
-                FileGeometry::Model(model) => Geometry::Model(asset_of(model).map_err(|error| SceneFileError::Object {
-                    path: self.path.clone(),
-                    index: id as usize,
-                    fault: format!("model {}: {error}", model.display()),
-                })?),
+                FileGeometry::Model(model) => Geometry::Model(match known.get(model.as_path()) {
+                    Some(asset) => *asset,
+                    None => {
+                        let asset = asset_of(model).map_err(|error| SceneFileError::Object {
+                            path: self.path.clone(),
+                            index: id as usize,
+                            fault: format!("model {}: {error}", model.display()),
+                        })?;
+                        known.insert(model, asset);
+                        asset
+                    }
+                }),
             };
             scene.objects.push(Object { id: ObjectId(id), geometry, transform: *transform, material: *material });
         }
@@ -314,6 +323,17 @@ mod tests {
             let error = parse(&text).unwrap_err().to_string();
             assert!(error.contains(names) && error.contains("stage/SCENE.toml"), "{text:?} gave {error}");
         }
+    }
+
+    #[test]
+    fn a_model_of_many_objects_is_read_once() {
+        let file = parse(&format!("ground_y = 0.0\n{}", "[[object]]\nmodel = \"fox.glb\"\n".repeat(3))).unwrap();
+        let mut reads = 0;
+        let scene = file.resolve(|_| {
+            reads += 1;
+            Ok::<_, String>(AssetId::of(b"fox"))
+        });
+        assert_eq!((scene.unwrap().objects.len(), reads), (3, 1));
     }
 
     #[test]

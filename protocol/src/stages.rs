@@ -20,10 +20,20 @@ pub struct StageTimes {
 impl StageTimes {
     /// Takes in one time, microseconds. A stage beyond the most is not counted.
     pub fn record(&mut self, stage: &str, us: u64) {
-        let known = self.stages.iter().position(|(name, _)| name == stage);
+        self.take(|name| name == stage, || stage.to_owned(), us);
+    }
+
+    /// As [`StageTimes::record`] for the stage `GROUP: STEP`, whose name is put together only when it first comes.
+    pub fn record_step(&mut self, group: &str, step: &str, us: u64) {
+        let is_step = |name: &str| name.strip_prefix(group).and_then(|rest| rest.strip_prefix(": ")) == Some(step);
+        self.take(is_step, || format!("{group}: {step}"), us);
+    }
+
+    fn take(&mut self, is_stage: impl Fn(&str) -> bool, name: impl FnOnce() -> String, us: u64) {
+        let known = self.stages.iter().position(|(name, _)| is_stage(name));
         let at = known.or_else(|| {
             let histogram = Histogram::new_with_bounds(1, LONGEST_US, DIGITS).ok().filter(|_| self.stages.len() < MAX_STAGES)?;
-            self.stages.push((stage.to_owned(), histogram));
+            self.stages.push((name(), histogram));
             Some(self.stages.len() - 1)
         });
         if let Some(at) = at {
@@ -63,6 +73,18 @@ mod tests {
             assert!((word.parse::<f64>().unwrap() / ms - 1.0).abs() < 2e-3, "{word} for {ms}");
         }
         assert!(text.lines().nth(2).unwrap().starts_with("upload"));
+    }
+
+    #[test]
+    fn steps_are_stages_of_their_group() {
+        let mut times = StageTimes::default();
+        times.record_step("light", "sh", 1);
+        times.record("light: sh", 2);
+        times.record_step("light", "sample", 3);
+        times.record("light", 4);
+        let text = times.to_string();
+        let counts: Vec<_> = text.lines().skip(1).map(|line| line[..51].split_whitespace().collect::<Vec<_>>().join(" ")).collect();
+        assert_eq!(counts, ["light: sh 2", "light: sample 1", "light 1"]);
     }
 
     #[test]

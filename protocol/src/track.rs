@@ -26,6 +26,8 @@ const LIGHT_MAX_AGE: Duration = Duration::from_millis(500);
 const MEDIA_MAX_AGE: Duration = Duration::from_millis(500);
 /// The scene is small and rare.
 const SCENE_PRIORITY: u8 = 105;
+/// Wishes of one drag are not given up for those of the next until they are this late.
+const INTENT_MAX_AGE: Duration = Duration::from_secs(2);
 /// Assets are large; they must not hold up the video.
 const ASSET_PRIORITY: u8 = 20;
 
@@ -53,10 +55,16 @@ pub fn scene_info() -> Info {
     Info::default().with_priority(SCENE_PRIORITY)
 }
 
-/// How scene and intent tracks are subscribed: the newest group starts with all that is needed.
+/// How the scene track is subscribed: the newest group starts with all that is needed.
 #[must_use]
 pub fn scene_subscription() -> Subscription {
     Subscription::default().with_priority(SCENE_PRIORITY)
+}
+
+/// How a user's intents are subscribed.
+#[must_use]
+pub fn intent_subscription() -> Subscription {
+    scene_subscription().with_max_age(INTENT_MAX_AGE)
 }
 
 /// How an asset track is subscribed.

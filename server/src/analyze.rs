@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
+use mr360_protocol::failure::Failure;
 use mr360_protocol::video::StereoLayout;
 use serde::ser::{Serialize, SerializeMap, Serializer};
 
@@ -59,8 +60,9 @@ pub struct AnalyzeArgs {
 /// `open_video`. A reader that closes standard output ends the command quietly.
 ///
 /// # Errors
-/// When the source cannot be opened, decoded or lit, or standard output cannot be written.
-pub fn run<E, I>(args: &AnalyzeArgs, open_video: impl FnOnce(&AnalyzeArgs) -> Result<I>) -> Result<()>
+/// [`Failure::Input`] when the source cannot be opened; [`Failure::Running`] when a frame cannot be decoded or lit, or standard output
+/// cannot be written.
+pub fn run<E, I>(args: &AnalyzeArgs, open_video: impl FnOnce(&AnalyzeArgs) -> Result<I>) -> Result<(), Failure<anyhow::Error>>
 where
     E: Into<anyhow::Error>,
     I: IntoIterator<Item = Result<Frame, E>>,
@@ -69,11 +71,12 @@ where
     let out = io::BufWriter::new(io::stdout().lock());
     let path = Path::new(&args.source);
     if image_file::is_image(path) && !args.source.contains("://") {
-        let frame = image_file::load(path)?;
+        let frame = image_file::load(path).map_err(|error| Failure::Input(error.into()))?;
         analyze(args, method.as_mut(), [Ok::<_, anyhow::Error>(frame)], out)
     } else {
-        analyze(args, method.as_mut(), open_video(args)?, out)
+        analyze(args, method.as_mut(), open_video(args).map_err(Failure::Input)?, out)
     }
+    .map_err(Failure::Running)
 }
 
 /// Lights every frame of `frames`, up to `args.frames`, and writes a line for each to `out` at once.

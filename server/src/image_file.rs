@@ -19,12 +19,12 @@ const MAX_ALLOCATION: u64 = MAX_WIDTH as u64 * MAX_HEIGHT as u64 * 16;
 #[derive(Debug, thiserror::Error)]
 pub enum ImageFileError {
     /// The file cannot be opened or read.
-    #[error("image {path:?}: cannot be read: {source}; check the path and its permissions")]
+    #[error("image {path:?}: cannot be read: {fault}; check the path and its permissions")]
     Io {
         /// The file.
         path: PathBuf,
         /// What the system said.
-        source: std::io::Error,
+        fault: std::io::Error,
     },
     /// Neither EXR, HDR, PNG nor JPEG.
     #[error("image {path:?}: not an OpenEXR, Radiance HDR, PNG or JPEG file; convert it to one of these")]
@@ -43,12 +43,12 @@ pub enum ImageFileError {
         height: u32,
     },
     /// Damaged, or a variant that the decoder does not know.
-    #[error("image {path:?}: cannot be decoded: {source}; write it again, EXR files as RGB scanlines")]
+    #[error("image {path:?}: cannot be decoded: {fault}; write it again, EXR files as RGB scanlines")]
     Malformed {
         /// The file.
         path: PathBuf,
         /// What the decoder said.
-        source: ImageError,
+        fault: ImageError,
     },
 }
 
@@ -64,10 +64,10 @@ pub fn is_image(path: &Path) -> bool {
 /// # Errors
 /// [`ImageFileError`] for a file that cannot be read, is no image of a known format, is damaged or too large.
 pub fn load(path: &Path) -> Result<Frame, ImageFileError> {
-    let io = |source| ImageFileError::Io { path: path.to_owned(), source };
-    let malformed = |source| match source {
-        ImageError::IoError(source) if source.kind() != std::io::ErrorKind::UnexpectedEof && source.raw_os_error().is_some() => io(source),
-        source => ImageFileError::Malformed { path: path.to_owned(), source },
+    let io = |fault| ImageFileError::Io { path: path.to_owned(), fault };
+    let malformed = |fault| match fault {
+        ImageError::IoError(fault) if fault.kind() != std::io::ErrorKind::UnexpectedEof && fault.raw_os_error().is_some() => io(fault),
+        fault => ImageFileError::Malformed { path: path.to_owned(), fault },
     };
     let mut file = BufReader::new(std::fs::File::open(path).map_err(io)?);
     let format = ImageReader::new(&mut file).with_guessed_format().map_err(io)?.format();
@@ -158,6 +158,8 @@ mod tests {
         let error = failure("cut.png");
         assert!(matches!(error, ImageFileError::Malformed { .. }), "{error:?}");
         assert!(error.to_string().contains("cut.png"), "{error}");
+        // Causes are printed after the message: what the message says already is none.
+        assert!(std::error::Error::source(&error).is_none() && std::error::Error::source(&failure("missing.png")).is_none());
         for cut in [16, 100, 300] {
             let path = path("cut.exr");
             Rgb32FImage::new(16, 8).save(&path).unwrap();

@@ -121,7 +121,7 @@ impl Stats {
         let Some(coded) = inner.waiting.remove(&row.pts_us) else { return };
         inner.stages.record("decode", row.decoded.0.saturating_sub(coded.ingested.0));
         for (name, duration) in row.steps.iter() {
-            inner.stages.record(&format!("light: {name}"), micros(duration));
+            inner.stages.record_step("light", name, micros(duration));
         }
         inner.stages.record("light", row.published.0.saturating_sub(row.begun.0));
         inner.stages.record("ingest to light published", row.published.0.saturating_sub(coded.ingested.0));

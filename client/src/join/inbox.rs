@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
-use mr360_protocol::transport::LinkEvent;
+use mr360_protocol::transport::{DialError, LinkEvent};
 use tokio::sync::mpsc;
 
 use super::arrivals::Arrivals;
@@ -85,7 +85,11 @@ impl Inbox {
         self.standing.hear(&event);
         match event {
             Event::Link(LinkEvent::Up(version)) => tracing::info!(version, "connected"),
+            Event::Link(LinkEvent::Down { fault: fault @ DialError::HostEnded { .. }, .. }) => {
+                tracing::warn!("{fault}; waiting for it to come back");
+            }
             Event::Link(LinkEvent::Down { fault, retry_in }) => tracing::warn!(%fault, ?retry_in, "connection lost; trying again"),
+            Event::Link(LinkEvent::Failed { fault, retry_in }) => tracing::warn!(%fault, ?retry_in, "not connected; trying again"),
             Event::Joined => {
                 tracing::info!("joined the room");
                 self.arrivals.send(Arrival::NewBroadcast);

@@ -34,13 +34,7 @@ use live_stage::SharedScene;
 use standing::Standing;
 
 /// Why the client ended.
-#[derive(Debug)]
-pub enum Failure {
-    /// Wrong usage or input: nothing was shown.
-    Input(anyhow::Error),
-    /// It broke off.
-    Running(anyhow::Error),
-}
+pub type Failure = mr360_protocol::failure::Failure<anyhow::Error>;
 
 /// Joins a broadcast and presents it until the user, a limit, or the broadcast's end.
 ///

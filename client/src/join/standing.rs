@@ -4,7 +4,7 @@ use std::borrow::Cow;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::anyhow;
-use mr360_protocol::transport::LinkEvent;
+use mr360_protocol::transport::{DialError, LinkEvent};
 
 use crate::decode::DecodeError;
 use crate::headless::HeadlessError;
@@ -26,7 +26,8 @@ impl Standing {
             Event::Link(LinkEvent::Up(_)) => {
                 self.set("the server answered, but nothing of the room came; run longer, and check the room's name");
             }
-            Event::Link(LinkEvent::Down { fault, .. }) => {
+            Event::Link(LinkEvent::Down { fault: fault @ DialError::HostEnded { .. }, .. }) => self.set(fault.to_string()),
+            Event::Link(LinkEvent::Down { fault, .. } | LinkEvent::Failed { fault, .. }) => {
                 self.set(format!("{fault}; is the server running, and can it be reached over UDP?"));
             }
             Event::Joined => self.set("the room was found, but no video came; the log says if its catalog is damaged"),

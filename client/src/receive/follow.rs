@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use hang::catalog::{AudioConfig, Catalog, VideoConfig};
 use mr360_protocol::codec::Message;
+use mr360_protocol::join::without_secrets;
 use mr360_protocol::light::LightFrame;
 use mr360_protocol::scene::SceneMessage;
 use mr360_protocol::track;
@@ -14,6 +15,7 @@ use tokio::sync::{mpsc, watch};
 use tokio::task::JoinSet;
 
 use super::assets::AssetFetcher;
+use super::user::Followed;
 use super::{Config, Event, ReceiveError, media};
 use crate::sync::ClientClock;
 
@@ -33,7 +35,7 @@ impl Link {
     pub(super) fn observe(&mut self, event: &LinkEvent) {
         match event {
             LinkEvent::Up(_) => *self = Self { up: true, fault: None },
-            LinkEvent::Down { fault, .. } => *self = Self { up: false, fault: Some(fault.to_string()) },
+            LinkEvent::Down { fault, .. } | LinkEvent::Failed { fault, .. } => *self = Self { up: false, fault: Some(fault.to_string()) },
         }
     }
 }
@@ -54,6 +56,7 @@ pub(super) async fn run(
     broadcasts: moq_net::origin::Consumer,
     mut link: watch::Receiver<Link>,
     events: &mpsc::Sender<Event>,
+    following: &watch::Sender<Followed>,
     clock: ClientClock,
 ) -> ReceiveError {
     let room = &config.join.room;
@@ -61,15 +64,19 @@ pub(super) async fn run(
     if let Err(fault) = first_contact(config, &broadcasts, &path, &mut link).await {
         return fault;
     }
+    let mut number: Followed = 0;
     loop {
+        number += 1;
         let broadcast = match broadcasts.routed_broadcast(&path).await {
             Ok(broadcast) => broadcast,
             Err(error) => return ReceiveError::Incompatible { room: room.clone(), fault: error.to_string() },
         };
+        following.send_replace(number);
         let left = tokio::select! {
             left = follow(config, &broadcast, events, clock) => left,
             error = broadcast.closed() => Left::Ended(error.to_string()),
         };
+        following.send_replace(0);
         match left {
             Left::Ended(why) => tracing::warn!(room, why, "the broadcast ended; waiting for it to come back"),
             Left::Fatal(error) => return error,
@@ -88,7 +95,7 @@ async fn first_contact(
     link: &mut watch::Receiver<Link>,
 ) -> Result<(), ReceiveError> {
     if tokio::time::timeout(FIRST_CONNECTION, link.wait_for(|link| link.up)).await.is_err() {
-        let fault = link.borrow().fault.clone().unwrap_or_else(|| format!("{}: no answer", config.join.endpoint));
+        let fault = link.borrow().fault.clone().unwrap_or_else(|| format!("{}: no answer", without_secrets(&config.join.endpoint)));
         return Err(ReceiveError::Unreachable(fault));
     }
     if tokio::time::timeout(FIRST_ANNOUNCEMENT, broadcasts.routed_broadcast(path)).await.is_ok() {
@@ -103,7 +110,7 @@ async fn first_contact(
         }
     }
     let there = if rooms.is_empty() { "no room is open there".to_owned() } else { format!("open rooms: {}", rooms.join(", ")) };
-    Err(ReceiveError::NoRoom { url: config.join.endpoint.to_string(), room: config.join.room.clone(), there })
+    Err(ReceiveError::NoRoom { url: without_secrets(&config.join.endpoint).to_string(), room: config.join.room.clone(), there })
 }
 
 /// What the catalog said last of each track, so that an update restarts only what it changes.

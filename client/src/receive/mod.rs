@@ -21,7 +21,7 @@ use mr360_protocol::join::JoinUrl;
 use mr360_protocol::light::LightFrame;
 use mr360_protocol::scene::{Intent, SceneMessage};
 use mr360_protocol::transport::{self, DialError, Dialer, LinkEvent, Roles};
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, watch};
 
 use crate::audio::AudioFormat;
 use crate::decode::{AccessUnit, VideoFormat};
@@ -144,8 +144,9 @@ impl Receiver {
         let (broadcasts, ours) = (transport::origin(), transport::origin());
         drop(guard);
         let roles = Roles { publish: Some(ours.consume()), subscribe: Some(broadcasts.clone()) };
-        runtime.spawn(user::publish(ours, config.join.room.clone(), config.user.clone(), intent_receiver));
-        runtime.spawn(run(config, dialer, roles, broadcasts, events, clock));
+        let (following, followed) = watch::channel(0);
+        runtime.spawn(user::publish(ours, config.join.room.clone(), config.user.clone(), intent_receiver, followed));
+        runtime.spawn(run(config, dialer, roles, broadcasts, events, following, clock));
         Ok((Self { runtime: Some(runtime), intents }, receiver))
     }
 
@@ -170,9 +171,10 @@ async fn run(
     roles: Roles,
     broadcasts: moq_net::origin::Producer,
     events: mpsc::Sender<Event>,
+    following: watch::Sender<user::Followed>,
     clock: ClientClock,
 ) {
-    let (up, is_up) = tokio::sync::watch::channel(follow::Link::default());
+    let (up, is_up) = watch::channel(follow::Link::default());
     let link_events = events.clone();
     let link = dialer.run(roles, move |event| {
         up.send_modify(|link| link.observe(&event));
@@ -181,7 +183,7 @@ async fn run(
     });
     let end = tokio::select! {
         fault = link => fault.into(),
-        fault = follow::run(&config, broadcasts.consume(), is_up, &events, clock) => fault,
+        fault = follow::run(&config, broadcasts.consume(), is_up, &events, &following, clock) => fault,
     };
     // Nobody is left to be told when this fails.
     let _ = events.send(Event::Ended(end)).await;

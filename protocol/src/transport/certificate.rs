@@ -35,6 +35,16 @@ pub enum CertificateError {
         /// What was wrong.
         fault: String,
     },
+    /// The kept key is there, its certificate is not.
+    #[error(
+        "{certificate} is missing beside {key}; put it back, or delete {key} to have a new certificate made: viewers then need the new join URL"
+    )]
+    Half {
+        /// The file that is missing.
+        certificate: PathBuf,
+        /// The file that is there.
+        key: PathBuf,
+    },
     /// Could not be made.
     #[error("cannot make a self-signed certificate: {0}")]
     Make(String),
@@ -57,11 +67,15 @@ impl Certificate {
     /// The self-signed certificate kept in `folder`, made there on first use.
     ///
     /// # Errors
-    /// [`CertificateError`] naming the file. A damaged file is an error, never replaced: viewers hold its fingerprint.
+    /// [`CertificateError`] naming the file. A damaged file is an error, never replaced: viewers hold its fingerprint. A certificate without
+    /// a key, which can never serve, is.
     pub fn load_or_make(folder: &Path) -> Result<Self, CertificateError> {
         let (chain_file, key_file) = (folder.join(CERTIFICATE_FILE), folder.join(KEY_FILE));
-        if !chain_file.exists() && !key_file.exists() {
-            make(folder, &chain_file, &key_file)?;
+        match (chain_file.exists(), key_file.exists()) {
+            (true, true) => {}
+            (false, true) => return Err(CertificateError::Half { certificate: chain_file, key: key_file }),
+            // The key comes last: without it a first start was cut short, and nobody was given the fingerprint.
+            (_, false) => make(folder, &chain_file, &key_file)?,
         }
         Ok(Self { self_signed: true, ..Self::load(&chain_file, &key_file)? })
     }
@@ -103,14 +117,28 @@ fn make(folder: &Path, chain_file: &Path, key_file: &Path) -> Result<(), Certifi
     let names = vec!["localhost".to_owned(), "127.0.0.1".to_owned(), "::1".to_owned()];
     let made = rcgen::generate_simple_self_signed(names).map_err(|error| CertificateError::Make(error.to_string()))?;
     fs::create_dir_all(folder).map_err(file_error(folder))?;
-    write_private(key_file, made.signing_key.serialize_pem().as_bytes()).map_err(file_error(key_file))?;
-    fs::write(chain_file, made.cert.pem()).map_err(file_error(chain_file))
+    let aside = |file: &Path| file.with_extension(format!("{}.partial", std::process::id()));
+    let (chain_aside, key_aside) = (aside(chain_file), aside(key_file));
+    let written = write_private(&chain_aside, made.cert.pem().as_bytes())
+        .map_err(file_error(chain_file))
+        .and_then(|()| write_private(&key_aside, made.signing_key.serialize_pem().as_bytes()).map_err(file_error(key_file)))
+        .and_then(|()| fs::rename(&chain_aside, chain_file).map_err(file_error(chain_file)))
+        .and_then(|()| fs::rename(&key_aside, key_file).map_err(file_error(key_file)));
+    if written.is_err() {
+        // Either may never have been made, or have its own name already.
+        let _ = fs::remove_file(&chain_aside);
+        let _ = fs::remove_file(&key_aside);
+    }
+    written
 }
 
+/// Writes a file for the owner's eyes alone, down to the disk.
 fn write_private(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
     let mut options = fs::OpenOptions::new();
-    options.write(true).create_new(true);
+    options.write(true).create(true).truncate(true);
     #[cfg(unix)]
     std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
-    options.open(path)?.write_all(bytes)
+    let mut file = options.open(path)?;
+    file.write_all(bytes)?;
+    file.sync_all()
 }

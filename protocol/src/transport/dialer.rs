@@ -6,11 +6,15 @@ use std::time::{Duration, Instant};
 use rustls::client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier};
 use rustls::{DigitallySignedStruct, SignatureScheme};
 use rustls_pki_types::{CertificateDer, ServerName, UnixTime};
+use tokio::sync::watch;
 use url::Url;
 use web_transport_quinn::proto::ConnectRequest;
 
+use crate::join::without_secrets;
+
 use super::certificate::fingerprint;
-use super::{ALPN_H3, Roles, crypto_provider, subprotocols, transport_config};
+use super::closer::HOST_ENDED;
+use super::{ALPN_H3, Closer, Roles, closer, crypto_provider, subprotocols, transport_config};
 
 /// First wait before a new try; doubles up to [`MAX_BACKOFF`].
 const MIN_BACKOFF: Duration = Duration::from_millis(250);
@@ -22,10 +26,14 @@ const CONNECT_TIMEOUT: Duration = Duration::from_secs(10);
 /// Whom to trust and where to go.
 pub struct Dialer {
     client: web_transport_quinn::Client,
+    socket: quinn::Endpoint,
     endpoint: Url,
+    /// False when the system's authorities decide.
+    pinned: bool,
+    ending: watch::Sender<bool>,
 }
 
-/// Why a connection could not be made.
+/// Why there is no connection. URLs are shown without what may be secret in them.
 #[derive(Debug, Clone, thiserror::Error)]
 #[non_exhaustive]
 pub enum DialError {
@@ -42,6 +50,31 @@ pub enum DialError {
         /// Of the join URL, hexadecimal.
         expected: String,
     },
+    /// Nobody vouches for the certificate, and the join URL does not name it. Trying again will not help.
+    #[error(
+        "{url}: nobody this system trusts vouches for the server's certificate ({fault}), and the URL lacks sha256=; \
+         give the whole join URL, in quotes where it holds a & or ?"
+    )]
+    Untrusted {
+        /// The endpoint.
+        url: String,
+        /// What TLS said.
+        fault: String,
+    },
+    /// The host's name cannot be resolved, and never could.
+    #[error("{url}: there is no address for the host name {host:?}; check its spelling, and that this machine can resolve names")]
+    UnknownHost {
+        /// The endpoint.
+        url: String,
+        /// The name.
+        host: String,
+    },
+    /// The host ended the session in order.
+    #[error("{url}: the host has ended the broadcast")]
+    HostEnded {
+        /// The endpoint.
+        url: String,
+    },
     /// Not reachable, or it refused.
     #[error("{url}: {fault}")]
     Connect {
@@ -57,8 +90,15 @@ pub enum DialError {
 pub enum LinkEvent {
     /// Connected, speaking this MoQ version.
     Up(String),
-    /// Lost, or not yet made; tried again after the wait.
+    /// The connection was lost; tried again after the wait.
     Down {
+        /// What happened.
+        fault: DialError,
+        /// Until the next try.
+        retry_in: Duration,
+    },
+    /// An attempt to connect failed, at first or after a loss; tried again after the wait.
+    Failed {
         /// What happened.
         fault: DialError,
         /// Until the next try.
@@ -83,9 +123,7 @@ impl Dialer {
             }
             None => {
                 let native = rustls_native_certs::load_native_certs();
-                let mut roots = rustls::RootCertStore::empty();
-                roots.add_parsable_certificates(native.certs);
-                builder.with_root_certificates(roots).with_no_client_auth()
+                builder.with_root_certificates(trust_store(native.certs, &native.errors)?).with_no_client_auth()
             }
         };
         tls.alpn_protocols = vec![ALPN_H3.to_vec()];
@@ -96,25 +134,36 @@ impl Dialer {
         let any_v4 = (std::net::Ipv4Addr::UNSPECIFIED, 0).into();
         // A v6 socket reaches v4 hosts too; hosts without v6 have only the other.
         let socket = quinn::Endpoint::client(any_v6).or_else(|_| quinn::Endpoint::client(any_v4)).map_err(|error| setup(&error))?;
-        Ok(Self { client: web_transport_quinn::Client::new(socket, config), endpoint })
+        let client = web_transport_quinn::Client::new(socket.clone(), config);
+        Ok(Self { client, socket, endpoint, pinned: expected.is_some(), ending: watch::Sender::new(false) })
+    }
+
+    /// Ends the connection, whichever it is then.
+    #[must_use]
+    pub fn closer(&self) -> Closer {
+        Closer::new(&self.socket, &self.ending)
     }
 
     /// Connects, serves the roles until the connection is lost, and connects again with backoff, for as long
-    /// as the future is polled. Ends only with [`DialError::WrongFingerprint`], which no retry can mend.
+    /// as the future is polled. Ends only with what no retry can mend: [`DialError::WrongFingerprint`], [`DialError::Untrusted`], and,
+    /// as long as it was never connected, [`DialError::UnknownHost`].
     pub async fn run(self, roles: Roles, mut event: impl FnMut(LinkEvent) + Send) -> DialError {
         let mut backoff = MIN_BACKOFF;
+        let mut connected_once = false;
         loop {
-            let fault = match self.connect(&roles).await {
+            let down = match self.connect(&roles).await {
                 Ok((session, driver)) => {
-                    backoff = MIN_BACKOFF;
+                    (backoff, connected_once) = (MIN_BACKOFF, true);
                     event(LinkEvent::Up(session.version().to_string()));
-                    let end = moq_net::time::run(driver).await;
-                    self.fault(end.to_string())
+                    let end = closer::run(&session, driver, self.ending.subscribe()).await;
+                    // The driver may have failed on a stream; why the connection closed is known to the session.
+                    LinkEvent::Down { fault: self.end(&end, &session.closed().await), retry_in: backoff }
                 }
-                Err(fault @ DialError::WrongFingerprint { .. }) => return fault,
-                Err(fault) => fault,
+                Err(fault @ (DialError::WrongFingerprint { .. } | DialError::Untrusted { .. })) => return fault,
+                Err(fault @ DialError::UnknownHost { .. }) if !connected_once => return fault,
+                Err(fault) => LinkEvent::Failed { fault, retry_in: backoff },
             };
-            event(LinkEvent::Down { fault, retry_in: backoff });
+            event(down);
             tokio::time::sleep(backoff).await;
             backoff = (backoff * 2).min(MAX_BACKOFF);
         }
@@ -134,11 +183,25 @@ impl Dialer {
         client.connect(Instant::now(), session).await.map_err(|error| self.fault(error.to_string()))
     }
 
+    fn url(&self) -> String {
+        without_secrets(&self.endpoint).to_string()
+    }
+
     fn fault(&self, fault: String) -> DialError {
-        DialError::Connect { url: self.endpoint.to_string(), fault }
+        DialError::Connect { url: self.url(), fault }
+    }
+
+    fn end(&self, end: &moq_net::Error, closed: &moq_net::Error) -> DialError {
+        match closed.session() {
+            Some(moq_net::SessionError::App(HOST_ENDED)) => DialError::HostEnded { url: self.url() },
+            _ => self.fault(end.to_string()),
+        }
     }
 
     fn connect_fault(&self, error: &web_transport_quinn::ClientError) -> DialError {
+        if let web_transport_quinn::ClientError::InvalidDnsName(host) = error {
+            return DialError::UnknownHost { url: self.url(), host: host.clone() };
+        }
         let text = error.to_string();
         // quinn hands the verifier's error on as text alone.
         let found = text.split_once(MISMATCH).and_then(|(_, rest)| {
@@ -146,12 +209,35 @@ impl Dialer {
             Some((words.next()?.to_owned(), words.next()?.to_owned()))
         });
         match found {
-            Some((got, expected)) => DialError::WrongFingerprint { url: self.endpoint.to_string(), got, expected },
+            Some((got, expected)) => DialError::WrongFingerprint { url: self.url(), got, expected },
+            None if !self.pinned && text.contains(UNTRUSTED) => DialError::Untrusted { url: self.url(), fault: text },
             None => self.fault(text),
         }
     }
 }
 
+/// The system's authorities as roots of trust.
+fn trust_store(
+    authorities: Vec<CertificateDer<'static>>,
+    errors: &[rustls_native_certs::Error],
+) -> Result<rustls::RootCertStore, DialError> {
+    let mut roots = rustls::RootCertStore::empty();
+    roots.add_parsable_certificates(authorities);
+    let faults = errors.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ");
+    if roots.is_empty() {
+        let faults = if faults.is_empty() { "none is installed".to_owned() } else { faults };
+        return Err(DialError::Setup(format!(
+            "no certificate authorities to trust ({faults}); install the package ca-certificates, or give a URL with sha256="
+        )));
+    }
+    if !faults.is_empty() {
+        tracing::warn!(faults, "some certificate authorities of this system could not be read");
+    }
+    Ok(roots)
+}
+
+/// How rustls begins what it says of a certificate that it refuses; quinn hands it on as text alone.
+const UNTRUSTED: &str = "invalid peer certificate";
 /// Marks the verifier's refusal in the error text that comes back through QUIC.
 const MISMATCH: &str = "certificate fingerprint mismatch: ";
 
@@ -202,4 +288,18 @@ impl ServerCertVerifier for PinnedCertificate {
 
 fn hex(bytes: &[u8; 32]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_system_without_authorities_is_an_error_with_its_causes() {
+        let error = trust_store(Vec::new(), &[]).unwrap_err().to_string();
+        assert!(error.contains("ca-certificates") && error.contains("sha256="), "{error}");
+        let missing = rustls_native_certs::load_certs_from_paths(Some(std::path::Path::new("/nowhere.pem")), None);
+        let error = trust_store(missing.certs, &missing.errors).unwrap_err().to_string();
+        assert!(error.contains("/nowhere.pem"), "{error}");
+    }
 }

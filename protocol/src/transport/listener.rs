@@ -4,13 +4,16 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Instant;
 
+use tokio::sync::{Semaphore, watch};
 use web_transport_quinn::Request;
 use web_transport_quinn::proto::ConnectResponse;
 
-use super::{ALPN_H3, Certificate, Roles, crypto_provider, subprotocols, transport_config};
+use super::{ALPN_H3, Certificate, Closer, Roles, closer, crypto_provider, subprotocols, transport_config};
 
 /// Handshakes under way at once; more are refused until some end, so that a flood costs bounded memory.
 const MAX_HANDSHAKES: usize = 256;
+/// Viewers connected at once; more are refused. Each costs buffers and streams of its own; for more than this there are relays.
+const MAX_SESSIONS: usize = 1024;
 /// A peer that has not finished its handshake by then is dropped.
 const HANDSHAKE_TIMEOUT: std::time::Duration = std::time::Duration::from_secs(10);
 
@@ -18,6 +21,8 @@ const HANDSHAKE_TIMEOUT: std::time::Duration = std::time::Duration::from_secs(10
 pub struct Listener {
     endpoint: quinn::Endpoint,
     address: SocketAddr,
+    max_sessions: usize,
+    ending: watch::Sender<bool>,
 }
 
 /// Why nobody can be served.
@@ -55,7 +60,7 @@ impl Listener {
         let bind_error = |error: std::io::Error| ListenError::Bind { address, fault: error.to_string() };
         let endpoint = quinn::Endpoint::server(config, address).map_err(bind_error)?;
         let address = endpoint.local_addr().map_err(bind_error)?;
-        Ok(Self { endpoint, address })
+        Ok(Self { endpoint, address, max_sessions: MAX_SESSIONS, ending: watch::Sender::new(false) })
     }
 
     /// The address it is bound to.
@@ -64,23 +69,40 @@ impl Listener {
         self.address
     }
 
-    /// Serves everyone who comes, each on a task of its own, until dropped.
+    /// Ends what this listener serves.
+    #[must_use]
+    pub fn closer(&self) -> Closer {
+        Closer::new(&self.endpoint, &self.ending)
+    }
+
+    #[cfg(test)]
+    pub(super) fn with_max_sessions(self, max_sessions: usize) -> Self {
+        Self { max_sessions, ..self }
+    }
+
+    /// Serves everyone who comes, each on a task of its own, until dropped or closed.
     pub async fn serve(self, roles: Roles) {
-        let handshakes = Arc::new(tokio::sync::Semaphore::new(MAX_HANDSHAKES));
+        let handshakes = Arc::new(Semaphore::new(MAX_HANDSHAKES));
+        let sessions = Arc::new(Semaphore::new(self.max_sessions));
         while let Some(incoming) = self.endpoint.accept().await {
-            let Ok(permit) = Arc::clone(&handshakes).try_acquire_owned() else {
+            let peer = incoming.remote_address();
+            let Ok(session_permit) = Arc::clone(&sessions).try_acquire_owned() else {
+                tracing::warn!(%peer, "viewer refused: {} are connected, the most this server takes; publish to a relay for more", self.max_sessions);
                 incoming.refuse();
                 continue;
             };
-            let roles = roles.clone();
+            let Ok(handshake_permit) = Arc::clone(&handshakes).try_acquire_owned() else {
+                incoming.refuse();
+                continue;
+            };
+            let (roles, ending) = (roles.clone(), self.ending.subscribe());
             tokio::spawn(async move {
-                let peer = incoming.remote_address();
                 let handshake = tokio::time::timeout(HANDSHAKE_TIMEOUT, accept(incoming, roles)).await;
-                drop(permit);
+                drop(handshake_permit);
                 match handshake {
                     Ok(Ok((session, driver))) => {
                         tracing::info!(%peer, "viewer connected");
-                        let end = moq_net::time::run(driver).await;
+                        let end = closer::run(&session, driver, ending).await;
                         // Dropped earlier, the handle would have asked for the session's end.
                         drop(session);
                         tracing::info!(%peer, %end, "viewer gone");
@@ -88,6 +110,7 @@ impl Listener {
                     Ok(Err(fault)) => tracing::warn!(%peer, fault, "handshake failed"),
                     Err(_) => tracing::warn!(%peer, "handshake timed out"),
                 }
+                drop(session_permit);
             });
         }
     }

@@ -1,13 +1,14 @@
 //! MoQ over WebTransport over QUIC (quinn): certificates, a listener for viewers, a dialer that reconnects.
 //!
-//! This is the one part of the crate that does I/O. What is published and subscribed goes through moq-net
-//! [origins](moq_net::origin); a session only joins two of them.
+//! What is published and subscribed goes through moq-net [origins](moq_net::origin); a session only joins two of them.
 
 mod certificate;
+mod closer;
 mod dialer;
 mod listener;
 
 pub use certificate::{Certificate, CertificateError};
+pub use closer::Closer;
 pub use dialer::{DialError, Dialer, LinkEvent};
 pub use listener::{ListenError, Listener};
 
@@ -16,7 +17,7 @@ use std::time::Duration;
 
 /// ALPN of HTTP/3, which carries WebTransport.
 const ALPN_H3: &[u8] = b"h3";
-/// A peer that is silent for this long is gone. Short, so that a killed server is noticed at once.
+/// A peer that is silent for this long is gone. Short, since a killed server says nothing; one that ends in order does, see [`Closer`].
 const IDLE_TIMEOUT: Duration = Duration::from_secs(5);
 /// Sent when there is nothing else to send.
 const KEEP_ALIVE: Duration = Duration::from_secs(1);

@@ -8,17 +8,22 @@ struct Served {
     address: std::net::SocketAddr,
     fingerprint: [u8; 32],
     origin: moq_net::origin::Producer,
+    closer: Closer,
     _folder: tempfile::TempDir,
 }
 
 fn serve() -> Served {
+    serve_at_most(1024)
+}
+
+fn serve_at_most(sessions: usize) -> Served {
     let folder = tempfile::tempdir().unwrap();
     let certificate = Certificate::load_or_make(folder.path()).unwrap();
     let fingerprint = certificate.fingerprint().unwrap();
-    let listener = Listener::bind("127.0.0.1:0".parse().unwrap(), certificate).unwrap();
-    let (address, origin) = (listener.address(), origin());
+    let listener = Listener::bind("127.0.0.1:0".parse().unwrap(), certificate).unwrap().with_max_sessions(sessions);
+    let (address, origin, closer) = (listener.address(), origin(), listener.closer());
     tokio::spawn(listener.serve(Roles { publish: Some(origin.consume()), subscribe: None }));
-    Served { address, fingerprint, origin, _folder: folder }
+    Served { address, fingerprint, origin, closer, _folder: folder }
 }
 
 fn endpoint(address: std::net::SocketAddr) -> url::Url {
@@ -54,15 +59,66 @@ async fn a_wrong_fingerprint_ends_the_dialer_and_names_both() {
     assert_eq!(got, served.fingerprint.iter().map(|byte| format!("{byte:02x}")).collect::<String>());
 }
 
+/// What becomes of a dialer's link, event by event.
+fn dial(dialer: Dialer, roles: Roles) -> (tokio::task::JoinHandle<DialError>, tokio::sync::mpsc::UnboundedReceiver<LinkEvent>) {
+    let (sender, events) = tokio::sync::mpsc::unbounded_channel();
+    (tokio::spawn(dialer.run(roles, move |event| drop(sender.send(event)))), events)
+}
+
+#[tokio::test]
+async fn an_unknown_authority_without_a_fingerprint_ends_the_dialer_with_the_remedy() {
+    let served = serve();
+    // Any authority will do: it did not sign the server's certificate. So the test needs none of the system's.
+    let mut endpoint = endpoint(served.address);
+    endpoint.set_query(Some("jwt=secret"));
+    let Ok(dialer) = Dialer::new(endpoint, None) else { return eprintln!("no certificate authorities here: skipped") };
+    let error = dialer.run(Roles::default(), |_| {}).await;
+    assert!(matches!(error, DialError::Untrusted { .. }), "{error}");
+    let text = error.to_string();
+    assert!(text.contains("lacks sha256=") && text.contains("UnknownIssuer") && !text.contains("secret"), "{text}");
+}
+
+#[tokio::test]
+async fn a_host_name_that_was_never_resolved_ends_the_dialer() {
+    let dialer = Dialer::new("https://nowhere.invalid:1/".parse().unwrap(), Some([0; 32])).unwrap();
+    let error = dialer.run(Roles::default(), |event| panic!("{event:?}")).await;
+    assert!(matches!(&error, DialError::UnknownHost { host, .. } if host == "nowhere.invalid"), "{error}");
+}
+
+#[tokio::test]
+async fn a_host_that_ends_in_order_says_so() {
+    let served = serve();
+    let dialer = Dialer::new(endpoint(served.address), Some(served.fingerprint)).unwrap();
+    let (link, mut events) = dial(dialer, Roles { publish: None, subscribe: Some(origin()) });
+    assert!(matches!(events.recv().await, Some(LinkEvent::Up(_))));
+    served.closer.close().await;
+    let event = events.recv().await.unwrap();
+    assert!(matches!(&event, LinkEvent::Down { fault: DialError::HostEnded { .. }, .. }), "{event:?}");
+    link.abort();
+}
+
+#[tokio::test]
+async fn a_full_server_refuses_until_a_viewer_leaves() {
+    let served = serve_at_most(1);
+    let viewer = || dial(Dialer::new(endpoint(served.address), Some(served.fingerprint)).unwrap(), Roles::default());
+    let (first, mut first_events) = viewer();
+    assert!(matches!(first_events.recv().await, Some(LinkEvent::Up(_))));
+    let (second, mut second_events) = viewer();
+    let event = second_events.recv().await.unwrap();
+    assert!(matches!(&event, LinkEvent::Failed { fault, .. } if fault.to_string().contains("refused")), "{event:?}");
+    first.abort();
+    while !matches!(second_events.recv().await.unwrap(), LinkEvent::Up(_)) {}
+    second.abort();
+}
+
 #[tokio::test]
 async fn nobody_there_is_reported_and_tried_again() {
     // A bound socket that never answers keeps the port from anyone else.
     let silent = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
     let dialer = Dialer::new(endpoint(silent.local_addr().unwrap()), Some([0; 32])).unwrap();
-    let (sender, mut events) = tokio::sync::mpsc::unbounded_channel();
-    let link = tokio::spawn(dialer.run(Roles::default(), move |event| drop(sender.send(event))));
+    let (link, mut events) = dial(dialer, Roles::default());
     let event = events.recv().await.unwrap();
-    assert!(matches!(event, LinkEvent::Down { retry_in, .. } if retry_in == Duration::from_millis(250)), "{event:?}");
+    assert!(matches!(event, LinkEvent::Failed { retry_in, .. } if retry_in == Duration::from_millis(250)), "{event:?}");
     link.abort();
 }
 
@@ -81,4 +137,21 @@ fn the_certificate_is_kept_and_a_damaged_one_is_refused() {
     assert_eq!(Certificate::load_or_make(folder.path()).unwrap().fingerprint(), first);
     std::fs::write(folder.path().join("certificate.pem"), "mud").unwrap();
     assert!(matches!(Certificate::load_or_make(folder.path()), Err(CertificateError::Pem { .. })));
+}
+
+#[test]
+fn half_a_state_folder_is_made_whole_or_named_with_the_remedy() {
+    let folder = tempfile::tempdir().unwrap();
+    let made = Certificate::load_or_make(folder.path()).unwrap().fingerprint();
+    let files =
+        || std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect::<std::collections::BTreeSet<_>>();
+    assert_eq!(files(), ["certificate.pem", "key.pem"].map(Into::into).into());
+    // A first start that was cut short: the key comes last.
+    std::fs::remove_file(folder.path().join("key.pem")).unwrap();
+    assert_ne!(Certificate::load_or_make(folder.path()).unwrap().fingerprint(), made);
+    std::fs::remove_file(folder.path().join("certificate.pem")).unwrap();
+    let error = Certificate::load_or_make(folder.path()).err().unwrap();
+    assert!(matches!(error, CertificateError::Half { .. }), "{error}");
+    let text = error.to_string();
+    assert!(text.contains("certificate.pem is missing") && text.contains("delete"), "{text}");
 }

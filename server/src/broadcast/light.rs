@@ -16,7 +16,7 @@ pub enum PublishError {
     #[error(transparent)]
     Wire(#[from] WireError),
     /// The track is closed.
-    #[error("light track: {0}")]
+    #[error("light track")]
     Track(#[from] moq_net::Error),
     /// The time does not fit the wire.
     #[error("light track: pts {0} µs is past the wire's range")]

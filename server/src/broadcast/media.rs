@@ -12,6 +12,21 @@ use crate::ingest::{AccessUnit, AudioCodec, AudioInfo, AudioPacket, VideoCodec, 
 /// An audio group runs this long: short enough to join, long enough not to open a stream for every packet.
 const AUDIO_GROUP: Duration = Duration::from_millis(500);
 
+/// Why media were not published.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum MediaError {
+    /// Its format was not understood when it started, or never started.
+    #[error("there is no {0} track: its format could not be started")]
+    NoTrack(&'static str),
+    /// What the codec or the transport says.
+    #[error(transparent)]
+    Refused(#[from] moq_mux::Error),
+    /// What the transport says.
+    #[error(transparent)]
+    Transport(#[from] moq_net::Error),
+}
+
 /// The media of the source that is on air; none until [`MediaTracks::start`].
 pub struct MediaTracks {
     broadcast: moq_net::broadcast::Producer,
@@ -35,8 +50,16 @@ impl MediaTracks {
     /// Ends the tracks on air, if any, and opens tracks for these formats.
     ///
     /// # Errors
-    /// When a codec's description is not understood or a track cannot be created.
-    pub fn start(&mut self, video: &VideoInfo, audio: Option<&AudioInfo>) -> Result<(), moq_mux::Error> {
+    /// When a codec's description is not understood or a track cannot be created. Nothing is on air then.
+    pub fn start(&mut self, video: &VideoInfo, audio: Option<&AudioInfo>) -> Result<(), MediaError> {
+        let started = self.open(video, audio);
+        if started.is_err() {
+            self.finish();
+        }
+        started
+    }
+
+    fn open(&mut self, video: &VideoInfo, audio: Option<&AudioInfo>) -> Result<(), MediaError> {
         self.finish();
         let name = |base: &str| if self.started == 0 { base.to_owned() } else { format!("{base}-{}", self.started + 1) };
         let (video_name, audio_name) = (name(track::VIDEO), name(track::AUDIO));
@@ -65,25 +88,25 @@ impl MediaTracks {
     /// Publishes one access unit; a keyframe starts a group.
     ///
     /// # Errors
-    /// When the unit is not what the codec asks for; the next may succeed.
-    pub fn video(&mut self, unit: &AccessUnit) -> Result<(), moq_mux::Error> {
-        let Some(video) = &mut self.video else { return Ok(()) };
-        video.decode(unit.data.clone(), Some(timestamp(unit.pts_us)?))
+    /// When the unit is not what the codec asks for; the next may succeed. [`MediaError::NoTrack`] until a start succeeds.
+    pub fn video(&mut self, unit: &AccessUnit) -> Result<(), MediaError> {
+        let video = self.video.as_mut().ok_or(MediaError::NoTrack(track::VIDEO))?;
+        Ok(video.decode(unit.data.clone(), Some(timestamp(unit.pts_us)?))?)
     }
 
     /// Publishes one audio packet.
     ///
     /// # Errors
-    /// When the packet is not what the codec asks for; the next may succeed.
-    pub fn audio(&mut self, packet: &AudioPacket) -> Result<(), moq_mux::Error> {
-        let Some(audio) = &mut self.audio else { return Ok(()) };
+    /// When the packet is not what the codec asks for; the next may succeed. [`MediaError::NoTrack`] until a start succeeds.
+    pub fn audio(&mut self, packet: &AudioPacket) -> Result<(), MediaError> {
+        let audio = self.audio.as_mut().ok_or(MediaError::NoTrack(track::AUDIO))?;
         let pts = timestamp(packet.pts_us)?;
         let start_us = *audio.group_start_us.get_or_insert(packet.pts_us);
         if packet.pts_us.saturating_sub(start_us) >= AUDIO_GROUP.as_micros() as u64 {
             audio.track.cut(Some(pts))?;
             audio.group_start_us = Some(packet.pts_us);
         }
-        audio.track.decode(packet.data.clone(), Some(pts))
+        Ok(audio.track.decode(packet.data.clone(), Some(pts))?)
     }
 
     /// Ends the tracks on air. Their renditions leave the catalog.
@@ -112,5 +135,39 @@ fn audio_format(codec: AudioCodec) -> AudioFormat {
     match codec {
         AudioCodec::Aac => AudioFormat::Aac,
         AudioCodec::Opus => AudioFormat::Opus,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::broadcast::Broadcast;
+    use bytes::Bytes;
+    use mr360_protocol::clock::ServerTime;
+    use mr360_protocol::transport;
+    use mr360_protocol::video::{Colour, StereoLayout};
+
+    #[tokio::test]
+    async fn media_without_a_track_are_errors_and_a_failed_start_leaves_none() {
+        let origin = transport::origin();
+        let broadcast = Broadcast::create(&origin, "live", "none").unwrap();
+        let mut media = broadcast.media();
+        let unit = AccessUnit { pts_us: 0, keyframe: true, data: Bytes::from_static(&[0, 0, 0, 1, 0x65]), ingested: ServerTime(0) };
+        let packet = AudioPacket { pts_us: 0, data: Bytes::from_static(&[1, 2, 3]) };
+        assert!(matches!(media.video(&unit), Err(MediaError::NoTrack("video"))));
+        assert!(matches!(media.audio(&packet), Err(MediaError::NoTrack("audio"))));
+        let video = VideoInfo {
+            codec: VideoCodec::H264,
+            width: 256,
+            height: 128,
+            frame_rate: 10.0,
+            stereo: StereoLayout::Mono,
+            colour: Colour::default(),
+            transcoded_because: None,
+        };
+        // An AudioSpecificConfig has two bytes at least.
+        let audio = AudioInfo { codec: AudioCodec::Aac, sample_rate: 44_100, channels: 2, description: Bytes::from_static(&[0]) };
+        media.start(&video, Some(&audio)).unwrap_err();
+        assert!(matches!(media.video(&unit), Err(MediaError::NoTrack("video"))));
     }
 }

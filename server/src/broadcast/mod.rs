@@ -7,7 +7,7 @@ mod scene;
 
 pub use assets::{AssetError, Assets};
 pub use light::{LightTrack, PublishError};
-pub use media::MediaTracks;
+pub use media::{MediaError, MediaTracks};
 pub use scene::SceneTrack;
 
 use std::time::Duration;

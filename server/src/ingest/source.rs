@@ -117,7 +117,7 @@ impl Address {
     }
 }
 
-/// Without user, password and query, for logs and errors.
+/// Without user, password, query and stream key, for logs and errors.
 impl fmt::Display for Address {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(out, "{}", redact(&self.url))
@@ -135,7 +135,12 @@ fn redact(url: &str) -> String {
     let Some((scheme, rest)) = shown.split_once("://") else { return shown.to_owned() };
     let (authority, path) = rest.split_at(rest.find('/').unwrap_or(rest.len()));
     let host = authority.rsplit('@').next().unwrap_or_default();
-    format!("{scheme}://{host}{path}")
+    // rtmp://HOST/APP/KEY: who has the key may publish in the sender's place.
+    let application = if scheme.to_ascii_lowercase().starts_with("rtmp") { path.match_indices('/').nth(1) } else { None };
+    match application.filter(|(at, _)| at + 1 < path.len()) {
+        Some((at, _)) => format!("{scheme}://{host}{}/…", &path[..at]),
+        None => format!("{scheme}://{host}{path}"),
+    }
 }
 
 fn split_authority(authority: &str) -> Result<(String, Option<u16>), &'static str> {
@@ -197,6 +202,9 @@ mod tests {
         assert_eq!(address("udp://@:1234").port, Some(1234));
         assert_eq!(address("srt://[::1]:9000").host, "::1");
         assert_eq!(address("rtsp://user:secret@camera:8554/live").to_string(), "rtsp://camera:8554/live");
+        assert_eq!(address("rtmp://host/live/KEY").to_string(), "rtmp://host/live/…");
+        assert_eq!(address("rtmps://host/app").to_string(), "rtmps://host/app");
+        assert_eq!(address("https://host/live/show.m3u8").to_string(), "https://host/live/show.m3u8");
         assert_eq!(format!("{:?}", address("srt://h:1?passphrase=secret")), "Address(srt://h:1, listening: false)");
     }
 

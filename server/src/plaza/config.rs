@@ -7,7 +7,7 @@ use thiserror::Error;
 pub enum PlazaError {
     /// The picture is not a 2:1 equirect of a supported size.
     #[error(
-        "synthetic:plaza: size {width}x{height} is not possible; give a width of 64 to 8192, even, and half of it, even, as height, such as size=1280x640"
+        "size {width}x{height} is not possible; give a width of 64 to 8192, even, and half of it, even, as height, such as size=1280x640"
     )]
     Size {
         /// Columns asked for.
@@ -16,13 +16,13 @@ pub enum PlazaError {
         height: u32,
     },
     /// An option that does not exist.
-    #[error("synthetic:plaza: no option \"{key}\"; there are size, fps, sun, azimuth, clouds, seed and movers")]
+    #[error("no option \"{key}\"; there are size, fps, sun, azimuth, clouds, seed and movers")]
     UnknownOption {
         /// The key as written.
         key: String,
     },
     /// An option whose value cannot be read or is out of range.
-    #[error("synthetic:plaza: {key}={value} is not possible; expected {expected}")]
+    #[error("{key}={value} is not possible; expected {expected}")]
     Value {
         /// The key.
         key: &'static str,

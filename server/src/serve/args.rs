@@ -5,9 +5,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use clap::Args;
-use mr360_protocol::join::{DEFAULT_ROOM, JoinUrl};
+use mr360_protocol::join::{DEFAULT_ROOM, JoinUrl, without_secrets};
 use mr360_protocol::track::{MAX_ROOM_CHARS, is_valid_room};
-use serde::Deserialize;
+use serde::de::Error;
+use serde::{Deserialize, Deserializer};
+use url::Url;
 
 use crate::analyze::StereoArg;
 use crate::ingest::{IngestConfig, Projection, Source};
@@ -33,7 +35,8 @@ pub struct ServeArgs {
     #[arg(long, value_name = "SCENE.toml")]
     pub scene: Option<PathBuf>,
     /// Address for viewers, UDP; port 0 takes any free one [default: 0.0.0.0:4443, or none with --publish].
-    #[arg(long, value_name = "ADDR")]
+    #[arg(long, value_name = "ADDR", value_parser = parse_listen)]
+    #[serde(deserialize_with = "deserialize_listen")]
     pub listen: Option<SocketAddr>,
     /// Host name or address in the printed join URL [default: this host's own address].
     #[arg(long, value_name = "NAME")]
@@ -44,6 +47,10 @@ pub struct ServeArgs {
     /// Publish to a MoQ relay; add #sha256=FINGERPRINT for a self-signed one.
     #[arg(long, value_name = "RELAY_URL")]
     pub publish: Option<String>,
+    /// Where viewers reach what --publish takes, with a token of theirs where one is needed [default: RELAY_URL without its query, which may
+    /// hold the publisher's].
+    #[arg(long, value_name = "RELAY_URL")]
+    pub viewers_url: Option<String>,
     /// Light method.
     #[arg(long, value_name = "NAME[:N]", help = format!("Light method: {} [default: {}]", MethodSpec::usage(), MethodSpec::default()))]
     pub method: Option<MethodSpec>,
@@ -74,6 +81,14 @@ pub struct ServeArgs {
     pub config: Option<PathBuf>,
 }
 
+/// A relay to publish to.
+pub(super) struct Relay {
+    pub(super) endpoint: Url,
+    pub(super) fingerprint: Option<[u8; 32]>,
+    /// What viewers are given: no token of the publisher's in it.
+    pub(super) join: JoinUrl,
+}
+
 /// What holds, checked.
 pub(super) struct Settings {
     pub(super) ingest: IngestConfig,
@@ -81,7 +96,7 @@ pub(super) struct Settings {
     pub(super) listen: Option<SocketAddr>,
     pub(super) host: Option<String>,
     pub(super) room: String,
-    pub(super) publish: Option<JoinUrl>,
+    pub(super) publish: Option<Relay>,
     pub(super) method: MethodSpec,
     pub(super) certificate: Option<(PathBuf, PathBuf)>,
     pub(super) state: PathBuf,
@@ -102,7 +117,7 @@ impl ServeArgs {
         if !is_valid_room(&room) {
             bail!("--room {room:?}: not 1 to {MAX_ROOM_CHARS} of a-z A-Z 0-9 - _");
         }
-        let publish = merged.publish.map(|url| url.parse::<JoinUrl>()).transpose().context("--publish")?;
+        let publish = relay(merged.publish.as_deref(), merged.viewers_url.as_deref(), &room)?;
         let certificate = match (merged.certificate, merged.key) {
             (Some(chain), Some(key)) => Some((chain, key)),
             (None, None) => None,
@@ -141,6 +156,7 @@ impl ServeArgs {
             host: flags.host.or(self.host),
             room: flags.room.or(self.room),
             publish: flags.publish.or(self.publish),
+            viewers_url: flags.viewers_url.or(self.viewers_url),
             method: flags.method.or(self.method),
             stereo: flags.stereo.or(self.stereo),
             projection: flags.projection.or(self.projection),
@@ -152,6 +168,37 @@ impl ServeArgs {
             config: flags.config,
         }
     }
+}
+
+fn relay(publish: Option<&str>, viewers: Option<&str>, room: &str) -> anyhow::Result<Option<Relay>> {
+    let Some(publish) = publish else {
+        if viewers.is_some() {
+            bail!("--viewers-url is of a relay; give --publish, too");
+        }
+        return Ok(None);
+    };
+    let JoinUrl { endpoint, fingerprint, .. } = publish.parse().context("--publish")?;
+    let shown = match viewers {
+        Some(url) => {
+            let given: JoinUrl = url.parse().context("--viewers-url")?;
+            JoinUrl { fingerprint: given.fingerprint.or(fingerprint), ..given }
+        }
+        None => JoinUrl { endpoint: without_secrets(&endpoint), fingerprint, room: String::new() },
+    };
+    Ok(Some(Relay { endpoint, fingerprint, join: JoinUrl { room: room.to_owned(), ..shown } }))
+}
+
+fn parse_listen(text: &str) -> Result<SocketAddr, String> {
+    text.parse().map_err(|_| {
+        "not an IP address with a port; write 0.0.0.0:4443 for every interface, 127.0.0.1:0 for this machine alone and any free port, \
+         or [::]:4443"
+            .to_owned()
+    })
+}
+
+fn deserialize_listen<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<SocketAddr>, D::Error> {
+    let text = String::deserialize(deserializer)?;
+    parse_listen(&text).map(Some).map_err(|fault| D::Error::custom(format!("listen = {text:?}: {fault}")))
 }
 
 fn read_config(path: &Path) -> anyhow::Result<ServeArgs> {
@@ -200,10 +247,14 @@ mod tests {
         std::fs::write(&file, "sauce = 1").unwrap();
         let method = folder.path().join("method.toml");
         std::fs::write(&method, "method = \"k-means:65\"").unwrap();
+        let listen = folder.path().join("listen.toml");
+        std::fs::write(&listen, "listen = \"4443\"").unwrap();
         let cases = [
             (ServeArgs::default(), "no source"),
             (ServeArgs { room: Some("a/b".to_owned()), ..plaza() }, "--room"),
             (ServeArgs { publish: Some("relay".to_owned()), ..plaza() }, "--publish"),
+            (ServeArgs { viewers_url: Some("https://relay/".to_owned()), ..plaza() }, "--publish"),
+            (ServeArgs { config: Some(listen), ..plaza() }, "127.0.0.1:0"),
             (ServeArgs { key: Some("k.pem".into()), ..plaza() }, "belong together"),
             (ServeArgs { config: Some(file), ..plaza() }, "sauce"),
             (ServeArgs { config: Some(method), ..plaza() }, "k-means[:1-64]"),
@@ -214,6 +265,32 @@ mod tests {
             let error = settle(args).err().unwrap();
             assert!(error.contains(names), "{error}");
         }
+    }
+
+    #[test]
+    fn an_address_to_listen_on_has_an_example() {
+        assert_eq!(parse_listen("[::1]:0"), Ok("[::1]:0".parse().unwrap()));
+        for text in ["4443", "localhost:0", "0.0.0.0", ""] {
+            let error = parse_listen(text).unwrap_err();
+            assert!(error.contains("0.0.0.0:4443"), "{error}");
+        }
+    }
+
+    #[test]
+    fn the_publishers_token_is_not_the_viewers() {
+        let publish = Some("https://relay:4443/anon?jwt=secret".to_owned());
+        let relay = |viewers_url: Option<&str>| {
+            let args = ServeArgs {
+                publish: publish.clone(),
+                viewers_url: viewers_url.map(str::to_owned),
+                room: Some("hall".to_owned()),
+                ..plaza()
+            };
+            settle(args).unwrap().publish.unwrap()
+        };
+        assert_eq!(relay(None).endpoint.query(), Some("jwt=secret"));
+        assert_eq!(relay(None).join.to_string(), "https://relay:4443/anon#room=hall");
+        assert_eq!(relay(Some("https://edge/?jwt=theirs")).join.to_string(), "https://edge/?jwt=theirs#room=hall");
     }
 
     #[test]

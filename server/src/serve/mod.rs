@@ -9,6 +9,7 @@ pub use args::ServeArgs;
 use std::time::Duration;
 
 use anyhow::Context;
+use mr360_protocol::failure::Failure;
 use mr360_protocol::scene::Scene;
 use mr360_protocol::scene_file::SceneFile;
 use mr360_protocol::stop::asked_to_stop;
@@ -19,26 +20,18 @@ use crate::ingest::{self, IngestHandle, ServerClock};
 use crate::session;
 use crate::stats::Stats;
 use args::Settings;
+use doors::{Doors, Open};
 use path::DataPath;
 
 /// How often the end of the source is looked for.
 const POLL: Duration = Duration::from_millis(50);
 
-/// Why the server ended.
-#[derive(Debug)]
-pub enum Failure {
-    /// Wrong settings, or an input that cannot be served: nothing was broadcast.
-    Input(anyhow::Error),
-    /// The broadcast broke off.
-    Running(anyhow::Error),
-}
-
 /// Hosts until the source is over or the process is asked to stop.
 ///
 /// # Errors
-/// [`Failure::Input`] for wrong settings, an input that cannot be served, or an address that cannot be listened on;
-/// [`Failure::Running`] when the source fails for good later.
-pub async fn run(args: ServeArgs) -> Result<(), Failure> {
+/// [`Failure::Input`] for wrong settings, an input that cannot be served, or an address that cannot be listened on: nothing was broadcast;
+/// [`Failure::Running`] when the source or the only way to the viewers fails for good later.
+pub async fn run(args: ServeArgs) -> Result<(), Failure<anyhow::Error>> {
     let on_air = start(args).await.map_err(Failure::Input)?;
     on_air.run().await.map_err(Failure::Running)
 }
@@ -49,9 +42,10 @@ struct OnAir {
     broadcast: Broadcast,
     session: tokio::task::JoinHandle<()>,
     stats: Stats,
+    doors: Open,
 }
 
-/// Builds the data path from its end to its source, then opens the doors.
+/// Takes what can be taken by others or be wrong, builds the data path from its end to its source, then opens the doors.
 async fn start(args: ServeArgs) -> anyhow::Result<OnAir> {
     let settings = args.settle()?;
     let clock = ServerClock::start();
@@ -59,6 +53,7 @@ async fn start(args: ServeArgs) -> anyhow::Result<OnAir> {
         Some(file) => Stats::new(Some(file)).with_context(|| format!("--stats {}: cannot be written", file.display()))?,
         None => Stats::new(None)?,
     };
+    let doors = Doors::prepare(&settings)?;
     let (scene, assets) = load_scene(&settings)?;
 
     let origin = transport::origin();
@@ -70,24 +65,35 @@ async fn start(args: ServeArgs) -> anyhow::Result<OnAir> {
     let path = DataPath::new(broadcast.media(), broadcast.light()?, method, stats.clone(), clock);
     let config = settings.ingest.clone();
     let ingest = tokio::task::spawn_blocking(move || ingest::spawn(config, clock, path)).await??;
-    doors::open(&settings, &origin)?;
-    Ok(OnAir { ingest, broadcast, session, stats })
+    let doors = doors.open(&origin)?;
+    Ok(OnAir { ingest, broadcast, session, stats, doors })
 }
 
 impl OnAir {
     async fn run(self) -> anyhow::Result<()> {
-        let Self { ingest, broadcast, session, stats } = self;
-        tokio::select! {
-            () = asked_to_stop() => tracing::info!("asked to stop"),
-            () = finished(&ingest) => tracing::info!("the source is over"),
-        }
+        let Self { ingest, broadcast, session, stats, mut doors } = self;
+        let failed = tokio::select! {
+            () = asked_to_stop() => {
+                tracing::info!("asked to stop");
+                None
+            }
+            () = finished(&ingest) => {
+                tracing::info!("the source is over");
+                None
+            }
+            fault = doors.failed() => Some(fault),
+        };
         ingest.stop();
         let counters = ingest.counters();
         let end = tokio::task::spawn_blocking(move || ingest.join()).await?;
         session.abort();
+        doors.close().await;
         drop(broadcast);
         eprintln!("{}", stats.summary(counters));
-        Ok(end?)
+        match failed {
+            Some(fault) => Err(fault),
+            None => Ok(end?),
+        }
     }
 }
 
@@ -105,5 +111,21 @@ async fn finished(ingest: &IngestHandle) {
     let mut poll = tokio::time::interval(POLL);
     while !ingest.is_finished() {
         poll.tick().await;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn the_port_is_taken_before_the_source_is_looked_at() {
+        let folder = tempfile::tempdir().unwrap();
+        let holder = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
+        let taken = holder.local_addr().unwrap();
+        let source = Some("synthetic:moon".to_owned());
+        let args = ServeArgs { source, listen: Some(taken), state: Some(folder.path().to_owned()), ..ServeArgs::default() };
+        let Err(Failure::Input(error)) = run(args).await else { panic!("a taken port was taken") };
+        assert!(error.to_string().contains(&taken.to_string()), "{error:#}");
     }
 }

@@ -5,7 +5,7 @@ use std::sync::{Mutex, PoisonError};
 use mr360_protocol::clock::ServerTime;
 use mr360_protocol::light::{Lift, LightFrame};
 
-use crate::broadcast::{LightTrack, MediaTracks};
+use crate::broadcast::{LightTrack, MediaError, MediaTracks};
 use crate::frame::Frame;
 use crate::ingest::{IngestEvent, ServerClock, Sink};
 use crate::lighting::{LightMethod, StepTimes};
@@ -35,7 +35,7 @@ impl DataPath {
         Self { media: Mutex::new(media), light: Mutex::new(light), stats, clock }
     }
 
-    fn media(&self, name: &str, publish: impl FnOnce(&mut MediaTracks) -> Result<(), moq_mux::Error>) -> bool {
+    fn media(&self, name: &str, publish: impl FnOnce(&mut MediaTracks) -> Result<(), MediaError>) -> bool {
         let result = publish(&mut self.media.lock().unwrap_or_else(PoisonError::into_inner));
         if let Err(error) = &result {
             tracing::warn!(%error, "{name} not published");
