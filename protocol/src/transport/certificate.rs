@@ -52,6 +52,7 @@ pub enum CertificateError {
 
 const CERTIFICATE_FILE: &str = "certificate.pem";
 const KEY_FILE: &str = "key.pem";
+const LOCK_FILE: &str = "lock";
 
 impl Certificate {
     /// Reads the host's own certificate chain and key, PEM.
@@ -71,11 +72,13 @@ impl Certificate {
     /// a key, which can never serve, is.
     pub fn load_or_make(folder: &Path) -> Result<Self, CertificateError> {
         let (chain_file, key_file) = (folder.join(CERTIFICATE_FILE), folder.join(KEY_FILE));
+        // Servers that start at the same time must not mix one's certificate with the other's key.
+        let _lock = lock(folder)?;
         match (chain_file.exists(), key_file.exists()) {
             (true, true) => {}
             (false, true) => return Err(CertificateError::Half { certificate: chain_file, key: key_file }),
             // The key comes last: without it a first start was cut short, and nobody was given the fingerprint.
-            (_, false) => make(folder, &chain_file, &key_file)?,
+            (_, false) => make(&chain_file, &key_file)?,
         }
         Ok(Self { self_signed: true, ..Self::load(&chain_file, &key_file)? })
     }
@@ -109,14 +112,22 @@ fn read_key(path: &Path) -> Result<PrivateKeyDer<'static>, CertificateError> {
     PrivateKeyDer::from_pem_slice(&read(path)?).map_err(|error| CertificateError::Pem { path: path.to_owned(), fault: error.to_string() })
 }
 
-fn make(folder: &Path, chain_file: &Path, key_file: &Path) -> Result<(), CertificateError> {
+/// Waits until no other process looks at or makes the files of `folder`; held until dropped.
+fn lock(folder: &Path) -> Result<fs::File, CertificateError> {
+    let path = folder.join(LOCK_FILE);
+    fs::create_dir_all(folder)
+        .and_then(|()| fs::OpenOptions::new().write(true).create(true).truncate(false).open(&path))
+        .and_then(|file| file.lock().map(|()| file))
+        .map_err(|error| CertificateError::File { path, fault: error.to_string() })
+}
+
+fn make(chain_file: &Path, key_file: &Path) -> Result<(), CertificateError> {
     let file_error = |path: &Path| {
         let path = path.to_owned();
         move |error: std::io::Error| CertificateError::File { path, fault: error.to_string() }
     };
     let names = vec!["localhost".to_owned(), "127.0.0.1".to_owned(), "::1".to_owned()];
     let made = rcgen::generate_simple_self_signed(names).map_err(|error| CertificateError::Make(error.to_string()))?;
-    fs::create_dir_all(folder).map_err(file_error(folder))?;
     let aside = |file: &Path| file.with_extension(format!("{}.partial", std::process::id()));
     let (chain_aside, key_aside) = (aside(chain_file), aside(key_file));
     let written = write_private(&chain_aside, made.cert.pem().as_bytes())

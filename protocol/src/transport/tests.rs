@@ -131,6 +131,17 @@ async fn a_taken_port_is_named() {
 }
 
 #[test]
+fn servers_that_start_at_once_share_one_certificate() {
+    let folder = tempfile::tempdir().unwrap();
+    let made: Vec<_> = std::thread::scope(|scope| {
+        let starts = (0..8).map(|_| scope.spawn(|| Certificate::load_or_make(folder.path()).unwrap().fingerprint()));
+        let starts: Vec<_> = starts.collect();
+        starts.into_iter().map(|start| start.join().unwrap()).collect()
+    });
+    assert!(made.iter().all(|fingerprint| fingerprint.is_some() && *fingerprint == made[0]), "{made:?}");
+}
+
+#[test]
 fn the_certificate_is_kept_and_a_damaged_one_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let first = Certificate::load_or_make(folder.path()).unwrap().fingerprint();

@@ -10,10 +10,10 @@
 
 use glam::{DVec3, Vec3};
 use mr360_protocol::light::{DirectionalLight, SH9};
-use mr360_shaders::sh::{IRRADIANCE_BAND, band, basis9};
+use mr360_shaders::sh::basis9;
 
 use super::assign::MOST;
-use super::life::Track;
+use super::life::{Track, canonical};
 use super::{Estimate, Gains, LUMA, View};
 
 /// Irradiance that bands 0 to 2 give on a surface facing a light of irradiance 1: ¼ + ½ + 5/16.
@@ -46,12 +46,6 @@ impl Harmonics {
             *sum += irradiance * f64::from(basis);
         }
     }
-
-    /// Irradiance before any clamp.
-    fn irradiance(&self, normal: Vec3) -> DVec3 {
-        let terms = self.0.iter().zip(basis9(normal)).enumerate();
-        terms.map(|(index, (coefficient, basis))| *coefficient * f64::from(basis * IRRADIANCE_BAND[band(index)])).sum()
-    }
 }
 
 impl Lights {
@@ -62,7 +56,8 @@ impl Lights {
         let mut sh = Harmonics(view.sh.map(|coefficient| coefficient.as_dvec3() * scale));
         for track in tracks {
             if let Some(seen) = &track.seen {
-                sh.add(seen.direction.as_vec3(), -seen.irradiance * scale);
+                // As it is followed, with the floor under its channels: what is put in is then what is taken out.
+                sh.add(seen.direction.as_vec3(), -canonical(seen.irradiance, gains).exp() * gains.sent);
                 sh.add(track.direction.value().as_vec3(), irradiance(track, gains));
             }
         }
@@ -70,9 +65,9 @@ impl Lights {
             sh.add(light.direction, -light.irradiance);
         }
         for light in &mut self.sent {
-            let lacking = (-sh.irradiance(light.direction) / FACING).max(DVec3::ZERO).min(light.irradiance);
-            light.irradiance -= lacking;
-            sh.add(light.direction, lacking);
+            let spread = light.irradiance * (1.0 - received_share(light.solid_angle_sr));
+            light.irradiance -= spread;
+            sh.add(light.direction, spread);
         }
         estimate.sh.clear();
         estimate.sh.extend(sh.0.map(|coefficient| coefficient.as_vec3()));
@@ -99,6 +94,14 @@ impl Lights {
         self.sent.sort_unstable_by(|a, b| b.irradiance.dot(LUMA).total_cmp(&a.irradiance.dot(LUMA)));
         self.sent.truncate(most);
     }
+}
+
+/// What bands 0 to 2 of a disc of this solid angle give on a surface facing it, as a share of what they give of a source
+/// without extent: a zonal cap keeps 1, (1 + c)/2 and c(1 + c)/2 of its bands, c being the cosine of its radius.
+fn received_share(solid_angle_sr: f64) -> f64 {
+    let cosine = (1.0 - solid_angle_sr / std::f64::consts::TAU).clamp(0.0, 1.0);
+    let half = 0.5 * (1.0 + cosine);
+    (0.25 + 0.5 * half + 0.3125 * cosine * half) / FACING
 }
 
 /// Followed irradiance in the exposure that is sent.
@@ -133,6 +136,8 @@ fn with_kin(track: &Track, tracks: &[Track], view: &View<'_>, gains: Gains) -> (
 
 #[cfg(test)]
 mod tests {
+    use mr360_shaders::sh::{IRRADIANCE_BAND, band};
+
     use super::super::{Bounds, Coarse, Observation, life};
     use super::*;
 
