@@ -73,11 +73,7 @@ pub(super) async fn publish(
 
 /// Until there is nobody left who wishes. A group is a drag: it ends with the release, and the newest holds nothing that is over once the
 /// next has begun.
-async fn publish_drags(
-    origin: &moq_net::origin::Producer,
-    path: &str,
-    intents: &mut mpsc::Receiver<Intent>,
-) -> anyhow::Result<()> {
+async fn publish_drags(origin: &moq_net::origin::Producer, path: &str, intents: &mut mpsc::Receiver<Intent>) -> anyhow::Result<()> {
     let broadcast = origin.create_broadcast(path)?;
     let track = broadcast.create_track(track::INTENT, track::scene_info())?;
     broadcast.announce(moq_net::origin::Route::default())?;
