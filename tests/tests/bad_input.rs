@@ -199,6 +199,12 @@ fn files_that_cannot_be_written_are_named_and_the_session_goes_on() -> Result<()
 }
 
 #[test]
+fn a_bench_without_a_folder_for_its_results_says_so() -> Result<()> {
+    let mut bench = Command::new(env!("CARGO_BIN_EXE_mr360-bench"));
+    fails(bench.args(["network", "--out", "/proc/mr360"]), WRONG, &["--out /proc/mr360", "another folder"])
+}
+
+#[test]
 fn a_broken_model_is_left_out_by_the_viewer() -> Result<()> {
     let sandbox = Sandbox::new()?;
     std::fs::write(sandbox.path("broken.glb"), b"glTF\x02\x00\x00\x00 and then nothing of the kind")?;

@@ -37,8 +37,8 @@ use standing::Standing;
 /// Joins a broadcast and presents it until the user, a limit, or the broadcast's end.
 ///
 /// # Errors
-/// [`Failure::Input`] for a wrong URL or setting and a file that cannot be created, [`Failure::Running`] for everything that ends a run later. A run that has shown
-/// nothing and was not ended by the user has failed, too.
+/// [`Failure::Input`] for a wrong URL or setting and a file that cannot be created, [`Failure::Running`] for everything that ends a run
+/// later. A run that has shown nothing and was not ended by the user has failed, too.
 pub fn run(args: JoinArgs) -> Result<(), Failure> {
     let settings = args.settle().map_err(Failure::Input)?;
     let stats = Stats::open(settings.stats.as_deref(), &view::PASSES).map_err(|error| Failure::Input(error.into()))?;

@@ -69,10 +69,15 @@ mod tests {
         };
         PictureFile::create(&path, ImageFormat::Png).unwrap().write(&grey(77)).unwrap();
         assert_eq!(image::open(&path).unwrap(), grey(77));
-        // Neither a run that ends early nor a picture that cannot be encoded touches what was there.
+        // A run that ends early does not touch what was there.
         drop(PictureFile::create(&path, ImageFormat::Png).unwrap());
-        assert!(PictureFile::create(&path, ImageFormat::OpenExr).unwrap().write(&grey(99)).is_err());
         assert_eq!(image::open(&path).unwrap(), grey(77));
+        assert_eq!(names(), ["out.png"]);
+        // What comes into its place meanwhile is told of, and nothing half-written stays.
+        let late = PictureFile::create(&folder.path().join("late.png"), ImageFormat::Png).unwrap();
+        std::fs::create_dir(folder.path().join("late.png")).unwrap();
+        assert!(matches!(late.write(&grey(99)), Err(RecordError::Picture { .. })));
+        std::fs::remove_dir(folder.path().join("late.png")).unwrap();
         assert_eq!(names(), ["out.png"]);
         for wrong in [folder.path().join("no/out.png"), folder.path().to_owned(), "..".into()] {
             assert!(matches!(PictureFile::create(&wrong, ImageFormat::Png), Err(RecordError::Picture { .. })), "{wrong:?}");
