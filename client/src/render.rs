@@ -233,7 +233,7 @@ impl Still<'_> {
 pub fn load_panorama(path: &Path, stereo: StereoLayout) -> anyhow::Result<Picture> {
     let named = || format!("panorama {}", path.display());
     let mut reader = image::ImageReader::open(path).with_context(named)?.with_guessed_format().with_context(named)?;
-    let linear = matches!(reader.format(), Some(image::ImageFormat::OpenExr | image::ImageFormat::Hdr));
+    let linear = matches!(reader.format(), Some(ImageFormat::OpenExr | ImageFormat::Hdr));
     let mut limits = image::Limits::default();
     limits.max_image_width = Some(MAX_SIDE);
     limits.max_image_height = Some(MAX_SIDE);
