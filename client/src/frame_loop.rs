@@ -89,6 +89,15 @@ pub trait Stage {
     fn position(&self, object: ObjectId) -> Option<Vec3>;
 }
 
+/// When a picture is, in the time of its broadcast.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PictureTime {
+    /// Which broadcast, as [`Playout::epoch`] counts them; a later one's time begins anew.
+    pub epoch: u64,
+    /// Within the broadcast, microseconds.
+    pub pts_us: u64,
+}
+
 /// Shows frames: in a window, or to nobody.
 pub trait Presenter {
     /// The next target, or `None` when there is none just now (hidden window, resize under way): the frame is skipped.
@@ -97,11 +106,11 @@ pub trait Presenter {
     /// [`FrameError::DeviceLost`] when everything has to be opened anew.
     fn acquire(&mut self) -> Result<Option<Target>, FrameError>;
 
-    /// Presents what was drawn to the target acquired last. `now` is when the drawing was submitted.
+    /// Presents what was drawn to the target acquired last, of the picture `shown`. `now` is when the drawing was submitted.
     ///
     /// # Errors
     /// As [`Presenter::acquire`].
-    fn present(&mut self, pts_us: u64, now: ClientTime) -> Result<(), FrameError>;
+    fn present(&mut self, shown: PictureTime, now: ClientTime) -> Result<(), FrameError>;
 }
 
 /// From the network, apart from pictures.
@@ -149,7 +158,7 @@ pub struct Turn {
 
 /// Times of the picture on the GPU.
 struct OnStage {
-    pts_us: u64,
+    time: PictureTime,
     arrived: ClientTime,
     decoded: ClientTime,
     light: Option<LightTimes>,
@@ -319,7 +328,7 @@ impl FrameLoop {
         }
         let Some(paired) = paired else { return Ok(false) };
         let mut on_stage = OnStage {
-            pts_us: paired.picture.pts_us,
+            time: PictureTime { epoch: self.playout.epoch(), pts_us: paired.picture.pts_us },
             arrived: paired.arrived,
             decoded: paired.decoded,
             light: paired.light.as_ref().and_then(|light| self.light_times(light)),
@@ -340,14 +349,14 @@ impl FrameLoop {
         let begun = self.clock.now();
         let passes = stage.draw(camera, &target)?;
         let rendered = self.clock.now();
-        presenter.present(on_stage.pts_us, rendered)?;
+        presenter.present(on_stage.time, rendered)?;
         // What a lost device drew is nothing to count.
         if let Some(detail) = stage.device_lost() {
             return Err(FrameError::DeviceLost { detail });
         }
         let times = FrameTimes {
             frame: self.frames,
-            pts_us: on_stage.pts_us,
+            pts_us: on_stage.time.pts_us,
             new_picture: !on_stage.presented_once,
             arrived: on_stage.arrived,
             decoded: on_stage.decoded,
@@ -362,6 +371,9 @@ impl FrameLoop {
         on_stage.presented_once = true;
         self.stale = false;
         self.last_camera = Some(*camera);
+        if self.frames == 0 {
+            tracing::info!("first picture after {} ms", times.presented.0 / 1_000);
+        }
         self.frames += 1;
         self.stats.counted(self.playout.drops(), Some(&self.inputs.decoder));
         self.stats.presented(&times, &passes);

@@ -20,3 +20,6 @@ pub mod stats;
 pub mod sync;
 pub mod view;
 pub mod window;
+
+/// Why a command of the client ended before it was done.
+pub type Failure = mr360_protocol::failure::Failure<anyhow::Error>;

@@ -3,8 +3,8 @@
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use mr360_client::gpu::GpuError;
-use mr360_client::join::{self, Failure, JoinArgs};
+use mr360_client::Failure;
+use mr360_client::join::{self, JoinArgs};
 use mr360_client::render::{self, RenderArgs};
 use mr360_protocol::failure;
 
@@ -37,9 +37,6 @@ fn main() -> ExitCode {
 fn run(command: Command) -> Result<(), Failure> {
     match command {
         Command::Join(args) => join::run(args),
-        Command::Render(args) => render::run(&args).map_err(|error| match error.is::<GpuError>() {
-            true => Failure::Running(error),
-            false => Failure::Input(error),
-        }),
+        Command::Render(args) => render::run(&args),
     }
 }

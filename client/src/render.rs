@@ -5,9 +5,10 @@ use std::collections::hash_map::Entry;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use anyhow::{Context as _, bail};
+use anyhow::{Context as _, anyhow, bail};
 use glam::Vec3;
 use half::f16;
+use image::ImageFormat;
 use mr360_protocol::asset::{AssetId, MAX_ASSET_BYTES};
 use mr360_protocol::light::{DirectionalLight, Lift, LightFrame, MAX_MAGNITUDE, SH9};
 use mr360_protocol::scene::Scene;
@@ -17,11 +18,13 @@ use mr360_shaders::colour::decode_transfer;
 use mr360_shaders::project::project;
 use serde::Deserialize;
 
+use crate::Failure;
 use crate::arguments::{parse_angle, parse_fov, parse_size};
 use crate::camera::Camera;
 use crate::environment::Environment;
 use crate::gpu::{Gpu, GpuError, block_on};
 use crate::picture::{Picture, Samples};
+use crate::record::PictureFile;
 use crate::scene::model::Model;
 use crate::view::{Renderer, View};
 
@@ -83,44 +86,77 @@ fn parse_stereo(text: &str) -> Result<StereoLayout, String> {
 /// Renders one picture.
 ///
 /// # Errors
-/// What is wrong with which file or argument, or that there is no GPU to draw with.
-pub fn run(args: &RenderArgs) -> anyhow::Result<()> {
-    let picture = load_panorama(&args.panorama, args.stereo)?;
-    let (scene, assets) = load_scene(&args.scene)?;
-    let light = match &args.light {
-        Some(path) => load_light(path)?,
-        None => {
-            tracing::info!("no --light: lit by spherical harmonics of the panorama alone, without shadow-casting lights");
-            ambient_light(&picture)
-        }
-    };
+/// [`Failure::Input`] for what is wrong with a file or an argument, and for pictures that cannot be created; [`Failure::Running`] when there
+/// is no GPU to draw with, or it fails, or the disk is full.
+pub fn run(args: &RenderArgs) -> Result<(), Failure> {
+    let inputs = Inputs::load(args).map_err(Failure::Input)?;
+    let coded = create(&args.out, &[ImageFormat::Png, ImageFormat::Jpeg]).map_err(Failure::Input)?;
+    let linear = args.out_linear.as_deref().map(|path| create(path, &[ImageFormat::OpenExr, ImageFormat::Hdr]));
+    let linear = linear.transpose().map_err(Failure::Input)?;
     let mut camera = Camera::looking(args.yaw_deg.to_radians(), args.pitch_deg.to_radians(), args.fov_y_deg.to_radians());
     camera.right_eye = args.right_eye;
-    let gpu = Gpu::headless()?;
-    let still = Still { gpu: &gpu, picture: &picture, light: &light, scene: &scene, assets: &assets };
+    let gpu = Gpu::headless().map_err(running)?;
+    let Inputs { picture, light, scene, assets } = &inputs;
+    let still = Still { gpu: &gpu, picture, light, scene, assets };
     // All is drawn before anything is written: a GPU that fails leaves no half of what was asked for.
-    let coded = still.draw(&camera, args.size, wgpu::TextureFormat::Rgba8UnormSrgb)?;
-    let linear = match &args.out_linear {
-        Some(path) => Some((path, still.draw(&camera, args.size, wgpu::TextureFormat::Rgba32Float)?)),
+    let coded = (coded, still.draw(&camera, args.size, wgpu::TextureFormat::Rgba8UnormSrgb)?);
+    let linear = match linear {
+        Some(file) => Some((file, still.draw(&camera, args.size, wgpu::TextureFormat::Rgba32Float)?)),
         None => None,
     };
-    let (width, height) = args.size;
-    let rgb = coded.chunks_exact(4).flat_map(|texel| [texel[0], texel[1], texel[2]]).collect();
-    let picture = image::RgbImage::from_raw(width, height, rgb).context(TOO_FEW)?;
-    save(&picture.into(), &args.out)?;
-    if let Some((path, bytes)) = linear {
+    save(args.size, coded, linear).map_err(Failure::Running)
+}
+
+/// What is drawn.
+struct Inputs {
+    picture: Picture,
+    light: LightFrame,
+    scene: Scene,
+    assets: Models,
+}
+
+impl Inputs {
+    fn load(args: &RenderArgs) -> anyhow::Result<Self> {
+        let picture = load_panorama(&args.panorama, args.stereo)?;
+        let (scene, assets) = load_scene(&args.scene)?;
+        let light = match &args.light {
+            Some(path) => load_light(path)?,
+            None => {
+                tracing::info!("no --light: lit by spherical harmonics of the panorama alone, without shadow-casting lights");
+                ambient_light(&picture)
+            }
+        };
+        Ok(Self { picture, light, scene, assets })
+    }
+}
+
+fn running(error: impl Into<anyhow::Error>) -> Failure {
+    Failure::Running(error.into())
+}
+
+/// A picture file in the format that its ending names, one of `formats`.
+fn create(path: &Path, formats: &[ImageFormat]) -> anyhow::Result<PictureFile> {
+    let format = ImageFormat::from_path(path).ok().filter(|format| formats.contains(format)).with_context(|| {
+        let endings: Vec<_> = formats.iter().flat_map(|format| format.extensions_str()).map(|ending| format!(".{ending}")).collect();
+        format!("{}: its name has to end in {}", path.display(), endings.join(" or "))
+    })?;
+    Ok(PictureFile::create(path, format)?)
+}
+
+/// Writes RGBA8, and RGBA of 32-bit floats where that was asked for.
+fn save((width, height): (u32, u32), coded: (PictureFile, Vec<u8>), linear: Option<(PictureFile, Vec<u8>)>) -> anyhow::Result<()> {
+    let (file, bytes) = coded;
+    let rgb = bytes.chunks_exact(4).flat_map(|texel| [texel[0], texel[1], texel[2]]).collect();
+    file.write(&image::RgbImage::from_raw(width, height, rgb).context(TOO_FEW)?.into())?;
+    if let Some((file, bytes)) = linear {
         let value = |at: usize| bytes.get(at..at + 4).and_then(|b| b.try_into().ok()).map_or(0.0, f32::from_le_bytes);
         let rgb = (0..bytes.len() / 16).flat_map(|texel| [0, 4, 8].map(|channel| value(texel * 16 + channel))).collect();
-        save(&image::Rgb32FImage::from_raw(width, height, rgb).context(TOO_FEW)?.into(), path)?;
+        file.write(&image::Rgb32FImage::from_raw(width, height, rgb).context(TOO_FEW)?.into())?;
     }
     Ok(())
 }
 
 const TOO_FEW: &str = "the GPU gave back fewer pixels than were asked for";
-
-fn save(picture: &image::DynamicImage, path: &Path) -> anyhow::Result<()> {
-    picture.save(path).with_context(|| format!("{}: cannot be written; check folder, ending and free space", path.display()))
-}
 
 /// A still panorama with its light, and a scene to draw into it.
 pub struct Still<'a> {
@@ -140,12 +176,14 @@ impl Still<'_> {
     /// Draws one picture and brings it back, rows packed from the top, as the format says.
     ///
     /// # Errors
-    /// A model that cannot be drawn, a panorama too large for the GPU, or a lost GPU.
-    pub fn draw(&self, camera: &Camera, size: (u32, u32), format: wgpu::TextureFormat) -> anyhow::Result<Vec<u8>> {
+    /// [`Failure::Input`] for a model that cannot be drawn, and for a panorama or a picture too large for the GPU; [`Failure::Running`] for a
+    /// GPU that refuses or is lost.
+    pub fn draw(&self, camera: &Camera, size: (u32, u32), format: wgpu::TextureFormat) -> Result<Vec<u8>, Failure> {
         let gpu = self.gpu;
         let largest = gpu.device.limits().max_texture_dimension_2d;
         if size.0.max(size.1) > largest {
-            bail!("a picture of {}×{} pixels is larger than this GPU draws, {largest} on a side", size.0, size.1);
+            let (width, height) = size;
+            return Err(Failure::Input(anyhow!("a picture of {width}×{height} pixels is larger than this GPU draws, {largest} on a side")));
         }
         let memory = gpu.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let validation = gpu.device.push_error_scope(wgpu::ErrorFilter::Validation);
@@ -153,19 +191,19 @@ impl Still<'_> {
         let fault = [block_on(validation.pop()), block_on(memory.pop())].into_iter().flatten().next();
         match fault {
             // The fault came first: what it left undone may have failed in turn.
-            Some(fault) => Err(GpuError::Refused { width: size.0, height: size.1, fault: fault.to_string() }.into()),
+            Some(fault) => Err(running(GpuError::Refused { width: size.0, height: size.1, fault: fault.to_string() })),
             None => drawn,
         }
     }
 
-    fn draw_checked(&self, camera: &Camera, size: (u32, u32), format: wgpu::TextureFormat) -> anyhow::Result<Vec<u8>> {
+    fn draw_checked(&self, camera: &Camera, size: (u32, u32), format: wgpu::TextureFormat) -> Result<Vec<u8>, Failure> {
         let gpu = self.gpu;
-        let mut environment = Environment::new(gpu)?;
-        environment.upload(gpu, self.picture)?;
-        let mut renderer = Renderer::new(gpu, format)?;
+        let mut environment = Environment::new(gpu).map_err(running)?;
+        environment.upload(gpu, self.picture).map_err(|error| Failure::Input(error.into()))?;
+        let mut renderer = Renderer::new(gpu, format).map_err(running)?;
         renderer.set_light(self.light);
         if let Some(warning) = renderer.set_scene(gpu, self.scene, &|id| self.assets.get(&id).cloned().map(Ok)).into_iter().next() {
-            return Err(warning.into());
+            return Err(Failure::Input(warning.into()));
         }
         let target = gpu.device.create_texture(&wgpu::TextureDescriptor {
             label: Some("picture"),
@@ -181,7 +219,7 @@ impl Still<'_> {
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         let report = renderer.render(gpu, &mut encoder, &mut environment, &[View { camera: *camera, target: &view, size }]);
         gpu.queue.submit([encoder.finish()]);
-        let bytes = gpu.read_texture(&target)?;
+        let bytes = gpu.read_texture(&target).map_err(running)?;
         tracing::debug!(plan = ?report.plan, draws = report.draws, triangles = report.triangles, "drawn");
         Ok(bytes)
     }
@@ -195,7 +233,7 @@ impl Still<'_> {
 pub fn load_panorama(path: &Path, stereo: StereoLayout) -> anyhow::Result<Picture> {
     let named = || format!("panorama {}", path.display());
     let mut reader = image::ImageReader::open(path).with_context(named)?.with_guessed_format().with_context(named)?;
-    let linear = matches!(reader.format(), Some(image::ImageFormat::OpenExr | image::ImageFormat::Hdr));
+    let linear = matches!(reader.format(), Some(ImageFormat::OpenExr | ImageFormat::Hdr));
     let mut limits = image::Limits::default();
     limits.max_image_width = Some(MAX_SIDE);
     limits.max_image_height = Some(MAX_SIDE);
@@ -327,9 +365,10 @@ mod tests {
         let still = Still { gpu: &gpu, picture: &picture, light: &light, scene: &scene, assets: &HashMap::new() };
         let camera = Camera::looking(0.0, 0.0, 1.0);
         // A format that nothing can be drawn to.
-        let refused = still.draw(&camera, (64, 32), wgpu::TextureFormat::Rgb9e5Ufloat).unwrap_err();
-        assert!(refused.is::<GpuError>() && refused.to_string().contains("64×32"), "{refused}");
+        let refused = still.draw(&camera, (64, 32), wgpu::TextureFormat::Rgb9e5Ufloat);
+        assert!(matches!(&refused, Err(Failure::Running(error)) if error.to_string().contains("64×32")), "{refused:?}");
         let largest = gpu.device.limits().max_texture_dimension_2d;
-        assert!(still.draw(&camera, (largest + 1, 1), wgpu::TextureFormat::Rgba8UnormSrgb).unwrap_err().to_string().contains("larger"));
+        let refused = still.draw(&camera, (largest + 1, 1), wgpu::TextureFormat::Rgba8UnormSrgb);
+        assert!(matches!(&refused, Err(Failure::Input(error)) if error.to_string().contains("larger")), "{refused:?}");
     }
 }

@@ -45,3 +45,30 @@ fn values_out_of_range_are_named_with_their_range() {
     let help = String::from_utf8_lossy(&help.stdout).into_owned();
     assert!(help.contains("Draw a scene into a still panorama") && !help.contains("Arguments of"), "{help}");
 }
+
+#[test]
+fn what_cannot_be_created_is_named_before_anything_is_done() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("SCENE.toml"), "ground_y = -1.6\n").unwrap();
+    image::RgbImage::new(2, 1).save(folder.path().join("panorama.png")).unwrap();
+    // Nobody is there to be joined: whoever tries to comes back with 1.
+    let join = ["join", "https://127.0.0.1:1/", "--mode", "headless", "--duration", "1"];
+    let render = ["render", "--panorama", "panorama.png", "--scene", "SCENE.toml", "--size", "16x16"];
+    for (command, flags, word) in [
+        (&join[..], &["--record", "no/a.mp4"][..], "no/a.mp4"),
+        (&join, &["--snapshot", "no/a.png"], "no/a.png"),
+        (&join, &["--stats", "no/a.csv"], "no/a.csv"),
+        (&render, &["--out", "no/a.png"], "no/a.png"),
+        (&render, &["--out", "."], "."),
+        (&render, &["--out", "a.txt"], ".png or .jpg"),
+        (&render, &["--out", "a.png", "--out-linear", "no/a.exr"], "no/a.exr"),
+        (&render, &["--out", "a.png", "--out-linear", "a.png"], ".exr"),
+    ] {
+        let mut program = Command::new(env!("CARGO_BIN_EXE_mr360-client"));
+        program.current_dir(folder.path()).env("XDG_CACHE_HOME", folder.path()).args(command).args(flags);
+        let output = program.output().unwrap();
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.code() == Some(2) && error.contains(word), "{flags:?}: {}: {error}", output.status);
+        assert!(!folder.path().join("a.png").exists() && !folder.path().join("a.png.part").exists(), "{flags:?}");
+    }
+}

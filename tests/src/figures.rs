@@ -50,6 +50,15 @@ pub fn frame_rate(viewers: &[Samples]) -> Result<f64> {
     percentile(&rates.collect::<Result<Vec<_>>>()?, 0.5).context("no viewers")
 }
 
+/// Makes the folder of the results where it is missing, and makes sure that it can be written to.
+///
+/// # Errors
+/// When it cannot.
+pub fn open_folder(folder: &Path) -> Result<()> {
+    let opened = fs::create_dir_all(folder).and_then(|()| tempfile::tempfile_in(folder));
+    opened.map(drop).with_context(|| format!("--out {}: cannot be written to; choose another folder", folder.display()))
+}
+
 /// Writes one file of results.
 ///
 /// # Errors
@@ -64,6 +73,16 @@ pub fn save(folder: &Path, name: &str, content: &str) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_folder_that_cannot_be_written_to_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        open_folder(&folder.path().join("new/results")).unwrap();
+        // One cannot be made, the other cannot be written to even by root.
+        for wrong in ["/proc/mr360", "/proc"] {
+            assert!(open_folder(Path::new(wrong)).unwrap_err().to_string().contains(wrong));
+        }
+    }
 
     #[test]
     fn frame_rate_is_the_median_viewers() {

@@ -194,8 +194,14 @@ fn files_that_cannot_be_written_are_named_and_the_session_goes_on() -> Result<()
     limited.envs(recording.get_envs().filter_map(|(name, value)| Some((name, value?))));
     let output = output_of_failure(&mut limited, FAILED, &["cut.mp4"])?;
     ensure!(output.contains("60 frames presented"), "the session ended with the recording:\n{output}");
-    fails(&mut join(&sandbox, &server.join_url, &["--frames", "1", "--record", "nowhere/a.mp4"])?, FAILED, &["nowhere/a.mp4", "folder"])?;
-    fails(&mut join(&sandbox, &server.join_url, &["--frames", "1", "--snapshot", "nowhere/a.png"])?, FAILED, &["nowhere/a.png", "folder"])
+    fails(&mut join(&sandbox, &server.join_url, &["--frames", "1", "--record", "nowhere/a.mp4"])?, WRONG, &["nowhere/a.mp4", "folder"])?;
+    fails(&mut join(&sandbox, &server.join_url, &["--frames", "1", "--snapshot", "nowhere/a.png"])?, WRONG, &["nowhere/a.png", "folder"])
+}
+
+#[test]
+fn a_bench_without_a_folder_for_its_results_says_so() -> Result<()> {
+    let mut bench = Command::new(env!("CARGO_BIN_EXE_mr360-bench"));
+    fails(bench.args(["network", "--out", "/proc/mr360"]), WRONG, &["--out /proc/mr360", "another folder"])
 }
 
 #[test]

@@ -14,7 +14,7 @@ fn a_host_that_ends_in_order_tells_its_viewers() -> Result<()> {
     let sandbox = Sandbox::new()?;
     let mut server = sandbox.serve(CARD, &["--listen", "127.0.0.1:0"])?;
     let mut viewer = sandbox.join("viewer", &server.join_url, &["--mode", "headless", "--size", "160x90"])?;
-    viewer.wait_for_text("first frame received", LONG)?;
+    viewer.wait_for_text("first picture after", LONG)?;
     server.program.finish(LONG)?;
     viewer.wait_for_text("the host has ended the broadcast", LONG)?;
     viewer.finish(LONG)

@@ -1,5 +1,7 @@
 //! Peers that lie: a server of random bytes, and a viewer of random wishes.
 
+use std::time::{Duration, Instant};
+
 use anyhow::{Context, Result, ensure};
 use bytes::Bytes;
 use glam::Vec3;
@@ -19,7 +21,7 @@ use tokio::runtime::Runtime;
 type Catalog = moq_mux::catalog::Producer<CatalogExtension>;
 
 /// Between the rogue's messages: about the rate of a lively broadcast.
-const PACE: std::time::Duration = std::time::Duration::from_millis(20);
+const PACE: Duration = Duration::from_millis(20);
 
 /// Bytes without sense, the same in every run (Marsaglia's xorshift).
 fn noise(seed: u64, length: usize) -> Bytes {
@@ -111,7 +113,9 @@ fn random_bytes_on_every_track_are_refused_and_survived() -> Result<()> {
     scenes.write_frame(moq_net::Timestamp::now(), snapshot)?;
     let mut sent = 0;
     let mut pace = tokio::time::interval(PACE);
+    let deadline = Instant::now() + LONG;
     while victim.is_running() {
+        ensure!(Instant::now() < deadline, "the viewer does not end:\n{}", victim.output());
         sent += 1;
         let now = moq_net::Timestamp::now();
         let length = sent as usize * 37 % 3000;

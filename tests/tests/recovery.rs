@@ -1,6 +1,6 @@
 //! Killed, restarted, stopped: each part in turn, while the others are watched getting over it.
 
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result, ensure};
 use mr360_tests::probe::{LONG, Probe};
 use mr360_tests::process::{Program, Signal};
 use mr360_tests::samples::Samples;
@@ -15,8 +15,18 @@ const SOME: usize = 15;
 fn watch(sandbox: &Sandbox, name: &str, url: &str) -> Result<Program> {
     let stats = format!("{name}.csv");
     let viewer = sandbox.join(name, url, &["--mode", "headless", "--size", "160x90", "--stats", &stats])?;
-    viewer.wait_for_text("first frame received", LONG)?;
+    viewer.wait_for_text("first picture after", LONG)?;
     Ok(viewer)
+}
+
+/// Frames in the recording, and frames that were left out, by the viewer's own count.
+fn recorded(output: &str) -> Result<(usize, usize)> {
+    let line = output.lines().find_map(|line| line.split_once("recording written ")).context("no recording was written")?.1;
+    let count = |name: &str| {
+        let count = line.split(' ').find_map(|field| field.strip_prefix(name)?.strip_prefix('=')?.parse().ok());
+        count.with_context(|| format!("no {name} in {line:?}"))
+    };
+    Ok((count("frames")?, count("dropped")?))
 }
 
 /// Ends the viewer and returns the pts of what it showed, in order.
@@ -56,7 +66,9 @@ fn a_killed_server_comes_back_under_the_same_url() -> Result<()> {
     let address = format!("127.0.0.1:{}", ports::free_udp_port()?);
     let mut server = sandbox.serve(CARD, &["--listen", &address])?;
     let url = server.join_url.clone();
-    let mut viewer = watch(&sandbox, "viewer", &url)?;
+    let arguments = ["--mode", "headless", "--size", "160x90", "--stats", "viewer.csv", "--record", "viewer.mp4"];
+    let mut viewer = sandbox.join("viewer", &url, &arguments)?;
+    viewer.wait_for_text("first picture after", LONG)?;
     let probe = Probe::join(&url)?;
     // Long enough that the first server's time is past all that the second one reaches below.
     let before = probe.pts_after(12 * SOME)?;
@@ -70,7 +82,10 @@ fn a_killed_server_comes_back_under_the_same_url() -> Result<()> {
     ensure!(again < before, "the new broadcast began before {again}, the old one ended after {before}");
     let shown = shown(&sandbox, "viewer", &mut viewer)?;
     let back = shown.windows(2).position(|pair| pair[1] < pair[0]);
-    ensure!(back.is_some(), "nothing of the new broadcast was shown: {shown:?}");
+    let back = back.with_context(|| format!("nothing of the new broadcast was shown: {shown:?}"))?;
+    let (recorded, left_out) = recorded(&viewer.output())?;
+    ensure!(recorded + left_out == shown.len(), "{recorded} of {} pictures are recorded, {left_out} are said to be left out", shown.len());
+    ensure!(left_out < shown.len() - back - 1, "the recording ended with the first broadcast: {left_out} pictures are left out");
     Ok(())
 }
 

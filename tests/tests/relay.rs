@@ -32,7 +32,7 @@ fn a_broadcast_through_a_relay_survives_its_restart() -> Result<()> {
     let server = sandbox.serve(CARD, &["--publish", &format!("https://{address}/#sha256={hex}"), "--room", "stage"])?;
     ensure!(server.join_url.contains(&address) && server.join_url.contains("room=stage"), "{}", server.join_url);
     let mut viewer = sandbox.join("viewer", &server.join_url, &["--mode", "headless", "--size", "160x90"])?;
-    viewer.wait_for_text("first frame received", LONG)?;
+    viewer.wait_for_text("first picture after", LONG)?;
     let probe = Probe::join(&server.join_url)?;
     let before = probe.pts_after(SOME)?;
 

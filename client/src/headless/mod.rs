@@ -1,10 +1,10 @@
 //! Presents to nobody: into a texture that is read back for recordings and snapshots.
 
 mod offscreen;
+mod recording_time;
 #[cfg(test)]
 pub(crate) mod tests;
 
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -13,9 +13,10 @@ use mr360_protocol::clock::ClientTime;
 
 pub use self::offscreen::Offscreen;
 
+use self::recording_time::RecordingTime;
 use crate::camera::Camera;
-use crate::frame_loop::{BoxError, FrameError, FrameLoop, Presenter, Redraw, Stage, Target};
-use crate::record::{RecordError, RecordReport, Recorder, write_png};
+use crate::frame_loop::{BoxError, FrameError, FrameLoop, PictureTime, Presenter, Redraw, Stage, Target};
+use crate::record::{PictureFile, RecordError, RecordReport, Recorder};
 
 /// Lost devices in a row after which the run ends.
 const MAX_REOPENS: u32 = 3;
@@ -42,12 +43,17 @@ pub struct HeadlessOptions {
     pub frames: Option<u64>,
     /// Stops after so long.
     pub duration: Option<Duration>,
-    /// Writes the last frame here, as PNG.
-    pub snapshot: Option<PathBuf>,
-    /// Writes all frames here, as MP4.
-    pub record: Option<PathBuf>,
     /// Stops when set, as by Ctrl-C.
     pub stop: Arc<AtomicBool>,
+}
+
+/// Files that a run fills, of the frames' size.
+#[derive(Default)]
+pub struct Files {
+    /// Takes every frame.
+    pub recorder: Option<Recorder>,
+    /// Takes the last frame.
+    pub snapshot: Option<PictureFile>,
 }
 
 /// An open GPU with its renderer.
@@ -79,7 +85,7 @@ pub enum HeadlessError {
     /// A frame could not be drawn.
     #[error(transparent)]
     Frame(#[from] FrameError),
-    /// The recording could not begin, or the snapshot not be written.
+    /// The snapshot could not be written.
     #[error(transparent)]
     Record(#[from] RecordError),
     /// A pace of no frames.
@@ -101,6 +107,7 @@ pub type Open<'a, S> = dyn FnMut() -> Result<Graphics<S>, BoxError> + 'a;
 pub fn run<S: Stage>(
     frames: &mut FrameLoop,
     options: &HeadlessOptions,
+    files: Files,
     open: &mut Open<'_, S>,
     camera: &mut dyn FnMut(Duration) -> Camera,
 ) -> Result<HeadlessReport, HeadlessError> {
@@ -109,9 +116,8 @@ pub fn run<S: Stage>(
         Pace::Fixed(fps) if fps.is_finite() && fps > 0.0 => Some((1e6 / fps).max(1.0)),
         Pace::Fixed(fps) => return Err(HeadlessError::Pace(fps)),
     };
-    let recorder = options.record.as_ref().map(|path| Recorder::start(path, options.width, options.height)).transpose()?;
     let mut graphics = open().map_err(HeadlessError::Open)?;
-    let mut presenter = ToFile::new(&graphics, options, recorder);
+    let mut presenter = ToFile::new(&graphics, options, files);
     let mut reopened = 0;
     let begin = frames.clock().now();
     let first_frame = frames.frames();
@@ -164,11 +170,15 @@ fn next_tick(tick: u64, elapsed: Duration, period_us: Option<f64>) -> u64 {
 fn finish(mut presenter: ToFile, options: &HeadlessOptions, frames: u64) -> Result<HeadlessReport, HeadlessError> {
     // Closed first: a snapshot that fails must not cost the recording its end.
     let recording = presenter.recorder.take().map(Recorder::finish);
-    if let Some(path) = &options.snapshot {
+    if let Some(snapshot) = presenter.snapshot.take() {
         if !presenter.drawn {
             return Err(HeadlessError::NoPicture);
         }
-        write_png(path, options.width, options.height, presenter.offscreen.read()?)?;
+        let (width, height) = (options.width, options.height);
+        let texels = presenter.offscreen.read()?.to_vec();
+        let got = texels.len();
+        let picture = image::RgbaImage::from_raw(width, height, texels).ok_or(RecordError::FrameSize { got, width, height })?;
+        snapshot.write(&picture.into())?;
     }
     Ok(HeadlessReport { frames, recording })
 }
@@ -177,14 +187,17 @@ fn finish(mut presenter: ToFile, options: &HeadlessOptions, frames: u64) -> Resu
 struct ToFile {
     offscreen: Offscreen,
     recorder: Option<Recorder>,
+    snapshot: Option<PictureFile>,
+    time: RecordingTime,
     tick_us: Option<u64>,
     drawn: bool,
 }
 
 impl ToFile {
-    fn new<S>(graphics: &Graphics<S>, options: &HeadlessOptions, recorder: Option<Recorder>) -> Self {
+    fn new<S>(graphics: &Graphics<S>, options: &HeadlessOptions, files: Files) -> Self {
         let offscreen = Offscreen::new(&graphics.device, &graphics.queue, options.width, options.height);
-        Self { offscreen, recorder, tick_us: None, drawn: false }
+        let Files { recorder, snapshot } = files;
+        Self { offscreen, recorder, snapshot, time: RecordingTime::default(), tick_us: None, drawn: false }
     }
 }
 
@@ -193,13 +206,12 @@ impl Presenter for ToFile {
         Ok(Some(self.offscreen.target()))
     }
 
-    fn present(&mut self, pts_us: u64, _now: ClientTime) -> Result<(), FrameError> {
+    fn present(&mut self, shown: PictureTime, now: ClientTime) -> Result<(), FrameError> {
         self.drawn = true;
         let Some(recorder) = self.recorder.as_mut().filter(|recorder| !recorder.has_failed()) else {
             return self.offscreen.wait();
         };
-        // At the video's pace a frame has the video's own time, free of the jitter of this machine.
-        let time_us = self.tick_us.unwrap_or(pts_us);
+        let time_us = self.tick_us.unwrap_or_else(|| self.time.of(shown, now));
         let texels = self.offscreen.read()?;
         recorder.push(time_us, texels).map_err(|error| FrameError::Failed { action: "recording", source: error.into() })
     }

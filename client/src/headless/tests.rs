@@ -124,16 +124,15 @@ fn fed(count: u64, csv: Option<&std::path::Path>) -> (FrameLoop, std::thread::Jo
 }
 
 fn options() -> HeadlessOptions {
-    HeadlessOptions {
-        width: 33,
-        height: 7,
-        pace: Pace::Video,
-        frames: None,
-        duration: None,
-        snapshot: None,
-        record: None,
-        stop: Arc::new(AtomicBool::new(false)),
-    }
+    HeadlessOptions { width: 33, height: 7, pace: Pace::Video, frames: None, duration: None, stop: Arc::new(AtomicBool::new(false)) }
+}
+
+fn recorder(path: &std::path::Path) -> Recorder {
+    Recorder::start(path, 33, 7).unwrap()
+}
+
+pub(crate) fn png(path: &std::path::Path) -> PictureFile {
+    PictureFile::create(path, image::ImageFormat::Png).unwrap()
 }
 
 fn still(_since: Duration) -> Camera {
@@ -145,8 +144,8 @@ fn the_last_picture_is_in_the_snapshot_and_every_frame_in_the_csv() {
     let folder = tempfile::tempdir().unwrap();
     let (snapshot, csv) = (folder.path().join("out.png"), folder.path().join("stats.csv"));
     let (mut frames, feeder) = frame_loop(20, Some(&csv));
-    let options = HeadlessOptions { snapshot: Some(snapshot.clone()), record: Some(folder.path().join("out.mp4")), ..options() };
-    let report = run(&mut frames, &options, &mut || Ok(graphics(false)), &mut still).unwrap();
+    let files = Files { recorder: Some(recorder(&folder.path().join("out.mp4"))), snapshot: Some(png(&snapshot)) };
+    let report = run(&mut frames, &options(), files, &mut || Ok(graphics(false)), &mut still).unwrap();
     feeder.join().unwrap();
     assert!(report.frames >= 1);
     let recorded = report.recording.unwrap().unwrap();
@@ -173,9 +172,9 @@ fn a_fixed_pace_repeats_the_picture_and_stops_at_the_count() {
     let inputs = Inputs { pictures: taken, arrivals, decoder: Arc::new(DecodeCounters::default()), audio: None };
     let mut frames = FrameLoop::new(inputs, clock, Stats::open(None, &["clear"]).unwrap());
     let options = HeadlessOptions { frames: Some(5), pace: Pace::Fixed(200.0), ..options() };
-    assert_eq!(run(&mut frames, &options, &mut || Ok(graphics(false)), &mut still).unwrap().frames, 5);
+    assert_eq!(run(&mut frames, &options, Files::default(), &mut || Ok(graphics(false)), &mut still).unwrap().frames, 5);
     let wrong = HeadlessOptions { pace: Pace::Fixed(0.0), ..options };
-    assert!(matches!(run(&mut frames, &wrong, &mut || Ok(graphics(false)), &mut still), Err(HeadlessError::Pace(_))));
+    assert!(matches!(run(&mut frames, &wrong, Files::default(), &mut || Ok(graphics(false)), &mut still), Err(HeadlessError::Pace(_))));
     let summary = frames.into_stats().finish().unwrap();
     assert_eq!((summary.frames(), summary.pictures()), (5, 1));
 }
@@ -188,6 +187,7 @@ fn a_device_that_is_lost_again_and_again_ends_the_run() {
     let failed = run(
         &mut frames,
         &options,
+        Files::default(),
         &mut || {
             opened += 1;
             Ok(graphics(true))
@@ -205,11 +205,28 @@ fn stopping_and_finding_nothing_are_told_apart() {
     let stopped = options();
     stopped.stop.store(true, Ordering::Relaxed);
     let (mut frames, feeder) = frame_loop(1, None);
-    assert_eq!(run(&mut frames, &stopped, &mut || Ok(graphics(false)), &mut still).unwrap().frames, 0);
-    let snapshot = HeadlessOptions { snapshot: Some("/nowhere/out.png".into()), ..stopped };
-    assert!(matches!(run(&mut frames, &snapshot, &mut || Ok(graphics(false)), &mut still), Err(HeadlessError::NoPicture)));
-    let refused = run::<Clear>(&mut frames, &options(), &mut || Err("no adapter".into()), &mut still);
+    assert_eq!(run(&mut frames, &stopped, Files::default(), &mut || Ok(graphics(false)), &mut still).unwrap().frames, 0);
+    let folder = tempfile::tempdir().unwrap();
+    let files = Files { snapshot: Some(png(&folder.path().join("out.png"))), ..Files::default() };
+    assert!(matches!(run(&mut frames, &stopped, files, &mut || Ok(graphics(false)), &mut still), Err(HeadlessError::NoPicture)));
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+    let refused = run::<Clear>(&mut frames, &options(), Files::default(), &mut || Err("no adapter".into()), &mut still);
     assert!(refused.unwrap_err().to_string().contains("no adapter"));
     drop(frames);
     feeder.join().unwrap();
+}
+
+#[test]
+fn a_recording_goes_on_with_the_broadcast_of_a_server_that_came_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let graphics = graphics(false);
+    let files = Files { recorder: Some(recorder(&folder.path().join("out.mp4"))), snapshot: None };
+    let mut presenter = ToFile::new(&graphics, &options(), files);
+    // The second server's time is far behind the first one's when it is lost.
+    for (epoch, pts_us, now) in [(0, 60_000_000, 0), (0, 60_040_000, 40_000), (1, 0, 3_000_000), (1, 40_000, 3_040_000)] {
+        presenter.acquire().unwrap();
+        presenter.present(PictureTime { epoch, pts_us }, ClientTime(now)).unwrap();
+    }
+    // Four frames fit the queue: none is dropped for want of time.
+    assert_eq!(presenter.recorder.take().unwrap().finish().unwrap(), RecordReport { frames: 4, dropped: 0 });
 }

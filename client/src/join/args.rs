@@ -9,11 +9,13 @@ use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 use mr360_protocol::join::JoinUrl;
 
+use crate::Failure;
 use crate::arguments::{parse_angle, parse_fov, parse_size};
 use crate::camera::Camera;
 use crate::decode::Hardware;
-use crate::headless::{HeadlessOptions, Pace};
+use crate::headless::{Files, HeadlessOptions, Pace};
 use crate::receive;
+use crate::record::{PictureFile, RecordError, Recorder};
 use crate::window::WindowOptions;
 
 /// Where to present.
@@ -78,7 +80,7 @@ pub struct JoinArgs {
 pub(super) struct Settings {
     pub(super) network: receive::Config,
     pub(super) mode: Mode,
-    pub(super) record: Option<PathBuf>,
+    record: Option<PathBuf>,
     pub(super) snapshot: Option<PathBuf>,
     pub(super) stats: Option<PathBuf>,
     pub(super) camera: Camera,
@@ -134,10 +136,20 @@ impl Settings {
             pace: self.pace,
             frames: self.frames,
             duration: self.duration,
-            snapshot: self.snapshot.clone(),
-            record: self.record.clone(),
             stop: Arc::clone(&self.stop),
         }
+    }
+
+    /// Creates what is to be written, so that a wrong path is known before anything is joined.
+    pub(super) fn files(&self) -> Result<Files, Failure> {
+        let named = |error| match error {
+            RecordError::NoEncoder | RecordError::Thread { .. } => Failure::Running(anyhow::Error::from(error)),
+            error => Failure::Input(error.into()),
+        };
+        let snapshot = self.snapshot.as_deref().map(|path| PictureFile::create(path, image::ImageFormat::Png));
+        let snapshot = snapshot.transpose().map_err(named)?;
+        let recorder = self.record.as_deref().map(|path| Recorder::start(path, self.size.0, self.size.1));
+        Ok(Files { recorder: recorder.transpose().map_err(named)?, snapshot })
     }
 
     pub(super) fn window(&self) -> WindowOptions {

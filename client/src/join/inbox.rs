@@ -2,7 +2,6 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Instant;
 
 use mr360_protocol::transport::{DialError, LinkEvent};
 use tokio::sync::mpsc;
@@ -26,8 +25,6 @@ pub(super) struct Inbox {
     timeline: Option<AudioTimeline>,
     player: Option<AudioPlayer>,
     clock: ClientClock,
-    started: Instant,
-    first_unit: bool,
     names: Names,
 }
 
@@ -58,7 +55,7 @@ impl Inbox {
         clock: ClientClock,
     ) -> Self {
         let names = Names { video: "video".into(), light: "light".into(), audio: "audio".into(), asset: "asset".into() };
-        Self { decoder, arrivals, scene, standing, timeline, player: None, clock, started: Instant::now(), first_unit: true, names }
+        Self { decoder, arrivals, scene, standing, timeline, player: None, clock, names }
     }
 
     /// Runs on a thread of its own until the network ends. Then the decoder is let go, and the frame loop ends
@@ -103,9 +100,6 @@ impl Inbox {
                 }
             }
             Event::Unit(unit) => {
-                if std::mem::take(&mut self.first_unit) {
-                    tracing::info!("first frame received after {} ms", self.started.elapsed().as_millis());
-                }
                 self.count(Track::Video, unit.data.len());
                 match self.decoder.push(unit) {
                     Ok(()) => self.standing.video_came(),

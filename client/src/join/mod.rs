@@ -17,11 +17,12 @@ use std::sync::{Arc, Mutex, PoisonError};
 use mr360_protocol::scene::Action;
 use mr360_protocol::stop::asked_to_stop;
 
+use crate::Failure;
 use crate::camera::Camera;
 use crate::decode::VideoDecoder;
 use crate::frame_loop::{BoxError, FrameLoop, Inputs};
 use crate::gpu::{self, Gpu};
-use crate::headless::{self, Graphics};
+use crate::headless::{self, Files, Graphics};
 use crate::receive::{Receiver as Network, User};
 use crate::stats::Stats;
 use crate::sync::ClientClock;
@@ -33,21 +34,19 @@ use inbox::Inbox;
 use live_stage::SharedScene;
 use standing::Standing;
 
-/// Why the client ended.
-pub type Failure = mr360_protocol::failure::Failure<anyhow::Error>;
-
 /// Joins a broadcast and presents it until the user, a limit, or the broadcast's end.
 ///
 /// # Errors
-/// [`Failure::Input`] for a wrong URL or setting, [`Failure::Running`] for everything that ends a run later. A run that has shown
-/// nothing and was not ended by the user has failed, too.
+/// [`Failure::Input`] for a wrong URL or setting and a file that cannot be created, [`Failure::Running`] for everything that ends a run
+/// later. A run that has shown nothing and was not ended by the user has failed, too.
 pub fn run(args: JoinArgs) -> Result<(), Failure> {
     let settings = args.settle().map_err(Failure::Input)?;
     let stats = Stats::open(settings.stats.as_deref(), &view::PASSES).map_err(|error| Failure::Input(error.into()))?;
-    present(&settings, stats).map_err(Failure::Running)
+    let files = settings.files()?;
+    present(&settings, stats, files).map_err(Failure::Running)
 }
 
-fn present(settings: &Settings, stats: Stats) -> anyhow::Result<()> {
+fn present(settings: &Settings, stats: Stats, files: Files) -> anyhow::Result<()> {
     let clock = ClientClock::start();
     stop_on_signal(Arc::clone(&settings.stop))?;
     let (network, events) = Network::start(settings.network.clone(), clock)?;
@@ -65,7 +64,7 @@ fn present(settings: &Settings, stats: Stats) -> anyhow::Result<()> {
     let mut frames = FrameLoop::new(inputs, clock, stats);
     let shown = match settings.mode {
         Mode::Window => in_window(&mut frames, settings, &scene, &user),
-        Mode::Headless => to_file(&mut frames, settings, &scene),
+        Mode::Headless => to_file(&mut frames, settings, files, &scene),
     };
     drop(network);
     let presented = frames.frames();
@@ -103,20 +102,21 @@ fn in_window(frames: &mut FrameLoop, settings: &Settings, scene: &SharedScene, u
     match window::run(frames, &settings.window(), &mut open, &mut act) {
         Err(error @ WindowError::NoDisplay { .. }) => {
             tracing::warn!("{error}; going on headless");
-            to_file(frames, settings, scene)
+            // Nothing is written from a window, nor from what takes its place.
+            to_file(frames, settings, Files::default(), scene)
         }
         result => result.map(drop).map_err(Into::into),
     }
 }
 
-fn to_file(frames: &mut FrameLoop, settings: &Settings, scene: &SharedScene) -> anyhow::Result<()> {
+fn to_file(frames: &mut FrameLoop, settings: &Settings, files: Files, scene: &SharedScene) -> anyhow::Result<()> {
     let mut open = || -> Result<Graphics<LiveStage>, BoxError> {
         let gpu = Gpu::headless()?;
         let (device, queue) = (gpu.device.clone(), gpu.queue.clone());
         Ok(Graphics { device, queue, stage: LiveStage::new(gpu, scene.clone())? })
     };
     let camera: Camera = settings.camera;
-    let report = headless::run(frames, &settings.headless(), &mut open, &mut |_| camera)?;
+    let report = headless::run(frames, &settings.headless(), files, &mut open, &mut |_| camera)?;
     match report.recording {
         Some(Ok(recording)) => tracing::info!(frames = recording.frames, dropped = recording.dropped, "recording written"),
         Some(Err(error)) => return Err(error.into()),

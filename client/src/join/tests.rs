@@ -6,8 +6,8 @@ use mr360_protocol::scene::{Geometry, Material, Object, ObjectId, Scene, SceneMe
 use super::live_stage::SharedScene;
 use super::*;
 use crate::frame_loop::{FrameError, Stage, Target};
-use crate::headless::tests::endless_frame_loop;
-use crate::headless::{HeadlessOptions, Pace};
+use crate::headless::tests::{endless_frame_loop, png};
+use crate::headless::{Files, HeadlessOptions, Pace};
 use crate::stats::PassTime;
 use crate::sync::Paired;
 
@@ -84,16 +84,8 @@ fn scene() -> SharedScene {
 fn watch(frames: u64, ends: Option<(Step, u32)>) -> ([u8; 4], u32) {
     let folder = tempfile::tempdir().unwrap();
     let snapshot = folder.path().join("out.png");
-    let options = HeadlessOptions {
-        width: 64,
-        height: 36,
-        pace: Pace::Video,
-        frames: Some(frames),
-        duration: None,
-        snapshot: Some(snapshot.clone()),
-        record: None,
-        stop: Arc::default(),
-    };
+    let options = HeadlessOptions { width: 64, height: 36, pace: Pace::Video, frames: Some(frames), duration: None, stop: Arc::default() };
+    let files = Files { snapshot: Some(png(&snapshot)), ..Files::default() };
     let (mut frame_loop, feeder) = endless_frame_loop();
     let scene = scene();
     let mut opened = 0;
@@ -104,7 +96,7 @@ fn watch(frames: u64, ends: Option<(Step, u32)>) -> ([u8; 4], u32) {
         let stage = Doomed { stage: LiveStage::new(gpu, scene.clone())?, device: device.clone(), ends: ends.filter(|_| opened == 1) };
         Ok(Graphics { device, queue, stage })
     };
-    let report = headless::run(&mut frame_loop, &options, &mut open, &mut |_| Camera::looking(0.0, 0.0, 1.0)).unwrap();
+    let report = headless::run(&mut frame_loop, &options, files, &mut open, &mut |_| Camera::looking(0.0, 0.0, 1.0)).unwrap();
     assert_eq!(report.frames, frames);
     drop(frame_loop);
     feeder.join().unwrap();

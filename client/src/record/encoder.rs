@@ -15,6 +15,15 @@ const NOMINAL_RATE: Rational = Rational(60, 1);
 /// Frames from one keyframe, and so from one fragment, to the next.
 const GOP_FRAMES: u32 = 30;
 
+/// What became of the frames.
+#[derive(Debug, Default, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Written {
+    /// In the file.
+    pub(super) frames: u64,
+    /// Left out: they did not come after the one before.
+    pub(super) skipped: u64,
+}
+
 /// An open file.
 pub(super) struct Mp4 {
     path: String,
@@ -27,7 +36,7 @@ pub(super) struct Mp4 {
     last_pts: i64,
     /// Time from the frame before the last to the last, microseconds: the guess for how long the last one stays.
     step_us: i64,
-    frames: u64,
+    written: Written,
 }
 
 impl Mp4 {
@@ -56,15 +65,18 @@ impl Mp4 {
             first_us: None,
             last_pts: -1,
             step_us: 1_000_000 / 30,
-            frames: 0,
+            written: Written::default(),
         })
     }
 
-    /// Takes RGBA8 of the size given at the start. Frames that do not come after the one before are left out.
+    /// Takes RGBA8 of the size given at the start. Frames that do not come after the one before are left out and counted.
     pub(super) fn write(&mut self, time_us: u64, rgba: &[u8]) -> Result<(), RecordError> {
         let first = *self.first_us.get_or_insert(time_us);
         let pts = time_us.checked_sub(first).and_then(|since| i64::try_from(since).ok());
-        let Some(pts) = pts.filter(|pts| *pts > self.last_pts) else { return Ok(()) };
+        let Some(pts) = pts.filter(|pts| *pts > self.last_pts) else {
+            self.written.skipped += 1;
+            return Ok(());
+        };
         let mut frame = ffmpeg::frame::Video::new(Pixel::YUV420P, self.encoder.width(), self.encoder.height());
         yuv::fill(&mut frame, rgba, self.width, self.height);
         frame.set_pts(Some(pts));
@@ -74,16 +86,16 @@ impl Mp4 {
         self.last_pts = pts;
         self.encoder.send_frame(&frame).map_err(|e| failure(&self.path, "encoding", e))?;
         self.write_packets()?;
-        self.frames += 1;
+        self.written.frames += 1;
         Ok(())
     }
 
-    /// Number of frames in the file.
-    pub(super) fn finish(mut self) -> Result<u64, RecordError> {
+    /// Closes the file.
+    pub(super) fn finish(mut self) -> Result<Written, RecordError> {
         self.encoder.send_eof().map_err(|e| failure(&self.path, "encoding", e))?;
         self.write_packets()?;
         self.output.write_trailer().map_err(|e| failure(&self.path, "closing the file", e))?;
-        Ok(self.frames)
+        Ok(self.written)
     }
 
     fn write_packets(&mut self) -> Result<(), RecordError> {

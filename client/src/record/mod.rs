@@ -3,6 +3,7 @@
 //! The MP4 is fragmented, one fragment a GOP, so that a crash leaves a playable file.
 
 mod encoder;
+mod picture_file;
 mod yuv;
 
 use std::path::{Path, PathBuf};
@@ -11,7 +12,9 @@ use std::thread::JoinHandle;
 
 use ffmpeg_next as ffmpeg;
 
-use self::encoder::Mp4;
+pub use self::picture_file::PictureFile;
+
+use self::encoder::{Mp4, Written};
 
 /// Largest side recorded, pixels: H.264 level 6.2.
 pub const MAX_SIDE: u32 = 8192;
@@ -88,7 +91,7 @@ pub enum RecordError {
 pub struct RecordReport {
     /// Frames in the file.
     pub frames: u64,
-    /// Frames left out because the encoder could not keep up.
+    /// Frames left out: the encoder could not keep up, or they did not come after the one before.
     pub dropped: u64,
 }
 
@@ -104,7 +107,7 @@ pub struct Recorder {
     frames: Option<SyncSender<RgbaFrame>>,
     /// Buffers on their way back.
     used: Receiver<Vec<u8>>,
-    thread: Option<JoinHandle<Result<u64, RecordError>>>,
+    thread: Option<JoinHandle<Result<Written, RecordError>>>,
     width: u32,
     height: u32,
     dropped: u64,
@@ -166,7 +169,7 @@ impl Recorder {
         self.frames = None;
         let joined = self.thread.take().map(JoinHandle::join);
         match joined {
-            Some(Ok(result)) => result.map(|frames| RecordReport { frames, dropped: self.dropped }),
+            Some(Ok(result)) => result.map(|written| RecordReport { frames: written.frames, dropped: self.dropped + written.skipped }),
             Some(Err(_)) | None => Err(RecordError::Thread { detail: "it panicked".to_owned() }),
         }
     }
@@ -182,7 +185,7 @@ impl Drop for Recorder {
     }
 }
 
-fn encode(created: Result<Mp4, RecordError>, queue: &Receiver<RgbaFrame>, give_back: &SyncSender<Vec<u8>>) -> Result<u64, RecordError> {
+fn encode(created: Result<Mp4, RecordError>, queue: &Receiver<RgbaFrame>, give_back: &SyncSender<Vec<u8>>) -> Result<Written, RecordError> {
     let result = created.and_then(|mut mp4| {
         for frame in queue {
             mp4.write(frame.time_us, &frame.texels)?;
@@ -195,28 +198,6 @@ fn encode(created: Result<Mp4, RecordError>, queue: &Receiver<RgbaFrame>, give_b
         tracing::error!("recording stopped: {error}");
     }
     result
-}
-
-/// Writes tightly packed RGBA8 as PNG, under a temporary name first, so that no half-written picture is ever found under `path`.
-///
-/// # Errors
-/// [`RecordError::FrameSize`] and [`RecordError::Picture`].
-pub fn write_png(path: &Path, width: u32, height: u32, rgba: &[u8]) -> Result<(), RecordError> {
-    if rgba.len() as u64 != u64::from(width) * u64::from(height) * 4 {
-        return Err(RecordError::FrameSize { got: rgba.len(), width, height });
-    }
-    let failed = |detail: String| RecordError::Picture { path: path.display().to_string(), detail };
-    let mut name = path.file_name().ok_or_else(|| failed("not a file name".to_owned()))?.to_owned();
-    name.push(".part");
-    let part = path.with_file_name(name);
-    let written = image::save_buffer_with_format(&part, rgba, width, height, image::ColorType::Rgba8, image::ImageFormat::Png)
-        .map_err(|error| failed(error.to_string()))
-        .and_then(|()| std::fs::rename(&part, path).map_err(|error| failed(error.to_string())));
-    if written.is_err() {
-        // What is left of it would only confuse; it may not even exist.
-        let _ = std::fs::remove_file(&part);
-    }
-    written
 }
 
 #[cfg(test)]
@@ -260,7 +241,7 @@ mod tests {
             mp4.write(time, &grey(33, 17, 40 * i as u8)).unwrap();
         }
         // The fourth has the time of the third and is left out.
-        assert_eq!(mp4.finish().unwrap(), 4);
+        assert_eq!(mp4.finish().unwrap(), Written { frames: 4, skipped: 1 });
         let frames = read(&path);
         assert_eq!(
             frames.iter().map(|f| (f.0, f.2, f.3)).collect::<Vec<_>>(),
@@ -316,16 +297,5 @@ mod tests {
         assert_eq!(recorder.finish().unwrap(), RecordReport { frames: 1, dropped: 0 });
         assert!(matches!(Recorder::start(&folder.path().join("no/out.mp4"), 16, 16), Err(RecordError::Ffmpeg { .. })));
         assert!(matches!(Recorder::start(&folder.path().join("out.mp4"), 0, 16), Err(RecordError::Size { .. })));
-    }
-
-    #[test]
-    fn png_is_written_whole_or_not_at_all() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("out.png");
-        write_png(&path, 3, 2, &grey(3, 2, 77)).unwrap();
-        assert_eq!(image::open(&path).unwrap().to_rgba8().into_raw(), grey(3, 2, 77));
-        assert!(write_png(&path, 3, 3, &grey(3, 2, 77)).is_err());
-        assert!(write_png(&folder.path().join("no/out.png"), 3, 2, &grey(3, 2, 77)).is_err());
-        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 }

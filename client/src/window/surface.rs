@@ -3,7 +3,7 @@
 use mr360_protocol::clock::ClientTime;
 
 use super::WindowGraphics;
-use crate::frame_loop::{FrameError, Presenter, Target};
+use crate::frame_loop::{FrameError, PictureTime, Presenter, Target};
 
 /// Formats by preference: the renderer writes linear light, the attachment encodes it.
 const FORMATS: [wgpu::TextureFormat; 2] = [wgpu::TextureFormat::Bgra8UnormSrgb, wgpu::TextureFormat::Rgba8UnormSrgb];
@@ -96,7 +96,7 @@ impl Presenter for SurfacePresenter {
         Ok(Some(Target { view, format: self.configuration.format, width, height }))
     }
 
-    fn present(&mut self, _pts_us: u64, _now: ClientTime) -> Result<(), FrameError> {
+    fn present(&mut self, _shown: PictureTime, _now: ClientTime) -> Result<(), FrameError> {
         self.present_acquired();
         Ok(())
     }

@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand};
-use mr360_tests::{lighting, network, render};
+use mr360_protocol::failure::{self, Failure};
+use mr360_tests::{figures, lighting, network, render};
 
 /// The demo's scene.
 const SCENE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../deploy/demo-scene/SCENE.toml");
@@ -88,6 +89,17 @@ struct Network {
     size: String,
 }
 
+impl Bench {
+    fn out(&self) -> &Path {
+        match self {
+            Self::Lighting(Lighting { out, .. })
+            | Self::Render(Render { out, .. })
+            | Self::Network(Network { out, .. })
+            | Self::All { out } => out,
+        }
+    }
+}
+
 fn parse_size(text: &str) -> Result<(u32, u32), String> {
     let side = |text: &str| text.parse().ok().filter(|side| (2..=8192).contains(side) && side % 2 == 0);
     let size = text.split_once('x').and_then(|(width, height)| Some((side(width)?, side(height)?)));
@@ -112,13 +124,9 @@ fn with_defaults(name: &str, out: &Path) -> anyhow::Result<Bench> {
 }
 
 fn main() -> ExitCode {
-    match run(Cli::parse().bench) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("error: {error:#}");
-            ExitCode::FAILURE
-        }
-    }
+    let bench = Cli::parse().bench;
+    let ready = figures::open_folder(bench.out()).map_err(Failure::Input);
+    failure::exit(ready.and_then(|()| run(bench).map_err(Failure::Running)))
 }
 
 #[cfg(test)]
