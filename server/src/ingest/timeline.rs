@@ -216,7 +216,7 @@ mod tests {
             assert_eq!(shown(Some(ahead), 0, STEP), (ahead, false));
         }
         for stray in [REORDER_US + 1, -REORDER_US - 1, 900_000_000, i64::MAX, i64::MIN] {
-            assert_eq!(shown(Some(stray), -5, STEP), (-5, true));
+            assert_eq!(shown(Some(stray), 0, STEP), (0, true));
         }
         // Two frames a second, all that a codec may hold back.
         assert_eq!(shown(Some(8_000_000), 0, 500_000), (8_000_000, false));
