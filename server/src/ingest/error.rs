@@ -82,6 +82,14 @@ pub enum IngestError {
         /// What the metadata says.
         detail: String,
     },
+    /// A flag is out of its range, or means nothing for this source.
+    #[error("{input}: {detail}; leave the flag out or change it")]
+    UselessFlag {
+        /// The input.
+        input: String,
+        /// Which flag, and why.
+        detail: String,
+    },
     /// Another program listens there.
     #[error("{input}: port {port} is in use on this machine; stop the other program or choose another port")]
     PortInUse {

@@ -1,11 +1,11 @@
 //! Decoding without pace or broadcast, for analysis.
 
 use std::collections::VecDeque;
+use std::time::{Duration, Instant};
 
-use ffmpeg_next::Packet;
+use ffmpeg_next::{Error, Packet};
 use mr360_protocol::video::{Colour, StereoLayout};
 
-use super::SILENCE;
 use super::colour::{Tags, nearest_supported};
 use super::decode::VideoDecoder;
 use super::error::IngestError;
@@ -13,10 +13,12 @@ use super::layout::{self, Layout, LayoutFlags, Projection, SphericalMetadata};
 use super::open::{self, Opened};
 use super::raw::{self, VideoParameters};
 use super::reform::{Reform, Target, broadcast_size};
+use super::session::MAX_BAD_READS;
 use super::source::Source;
 use super::synthetic::{self, FrameSource};
-use super::timeline::{Rising, micros};
+use super::timeline::{Rising, micros, shown};
 use super::watch::Watch;
+use super::{IngestConfig, SILENCE};
 use crate::frame::{Frame, Pixels};
 
 /// What is known of the pictures.
@@ -31,10 +33,12 @@ pub struct DecodeOptions {
 /// Decodes a source as fast as it can be read, first frame at zero. Synthetic sources never end.
 ///
 /// # Errors
-/// As [`super::spawn`], for network sources too. While iterating: when the stream is lost, or its pictures can no longer be used.
+/// As [`super::spawn`], for network sources too. While iterating: when the stream is lost, ends without a single picture, or its pictures can no
+/// longer be used. Damage that is survived is logged.
 pub fn decode_frames(source: &Source, options: DecodeOptions) -> Result<DecodedFrames, IngestError> {
     super::run::init()?;
     let name = source.to_string();
+    IngestConfig { stereo: options.stereo, projection: options.projection, ..IngestConfig::new(source.clone()) }.check()?;
     if let Source::Synthetic(text) = source {
         return Ok(DecodedFrames { inner: Inner::Synthetic(synthetic::parse(text)?, 0) });
     }
@@ -59,6 +63,9 @@ pub fn decode_frames(source: &Source, options: DecodeOptions) -> Result<DecodedF
         first_us: None,
         last_us: None,
         rising: Rising::default(),
+        bad_reads: 0,
+        silent: false,
+        refused: 0,
         over: false,
     });
     Ok(DecodedFrames { inner: Inner::Stream(stream) })
@@ -104,6 +111,12 @@ struct StreamFrames {
     first_us: Option<i64>,
     last_us: Option<i64>,
     rising: Rising,
+    /// Refused reads in a row.
+    bad_reads: u32,
+    /// The last read brought nothing, and no more time is allowed for it.
+    silent: bool,
+    /// Packets and pictures that the demuxer or decoder refused.
+    refused: u64,
     over: bool,
 }
 
@@ -127,20 +140,29 @@ impl StreamFrames {
 
     /// Reads one packet and takes the pictures that it completes.
     fn read(&mut self) -> Result<(), IngestError> {
-        self.watch.allow(SILENCE);
+        if !self.silent {
+            self.watch.allow(SILENCE);
+        }
         let mut packet = Packet::empty();
         match packet.read(&mut self.opened.input) {
-            Ok(()) if packet.stream() != self.opened.video.index => return Ok(()),
             Ok(()) => {
-                let time_base = self.opened.video.time_base;
-                packet.set_pts(packet.pts().map(|pts| micros(pts, time_base)));
-                packet.set_dts(packet.dts().map(|dts| micros(dts, time_base)));
-                // Damaged packets are the decoder's to skip.
-                let _ = self.decoder.send(&packet);
+                (self.bad_reads, self.silent) = (0, false);
+                if packet.stream() != self.opened.video.index {
+                    return Ok(());
+                }
+                self.decode(packet);
             }
-            Err(ffmpeg_next::Error::InvalidData) => return Ok(()),
-            Err(ffmpeg_next::Error::Other { errno }) if errno == ffmpeg_next::error::EAGAIN => return Ok(()),
-            Err(ffmpeg_next::Error::Eof) => {
+            Err(Error::InvalidData) if self.bad_reads < MAX_BAD_READS => {
+                (self.bad_reads, self.silent) = (self.bad_reads + 1, false);
+                self.refuse(Error::InvalidData);
+                return Ok(());
+            }
+            Err(Error::Other { errno }) if errno == ffmpeg_next::error::EAGAIN && !self.watch.interrupts() => {
+                self.silent = true;
+                self.watch.sleep_until(Instant::now() + Duration::from_millis(5));
+                return Ok(());
+            }
+            Err(Error::Eof) => {
                 self.over = true;
                 self.decoder.drain();
             }
@@ -149,14 +171,62 @@ impl StreamFrames {
                 return Err(IngestError::Lost { input: self.name.clone(), detail });
             }
         }
-        while let Ok(Some(picture)) = self.decoder.receive() {
-            self.ready.push_back(picture);
+        self.receive();
+        if self.over { self.end() } else { Ok(()) }
+    }
+
+    fn decode(&mut self, mut packet: Packet) {
+        let time_base = self.opened.video.time_base;
+        let pts_us = packet.pts().map(|pts| micros(pts, time_base));
+        let dts_us = packet.dts().map(|dts| micros(dts, time_base));
+        packet.set_pts(match (pts_us, dts_us) {
+            (Some(_), Some(dts_us)) => Some(shown(pts_us, dts_us, self.step_us()).0),
+            _ => pts_us,
+        });
+        packet.set_dts(dts_us);
+        if let Err(error) = self.decoder.send(&packet) {
+            self.refuse(error);
+        }
+    }
+
+    fn receive(&mut self) {
+        loop {
+            match self.decoder.receive() {
+                Ok(Some(picture)) => self.ready.push_back(picture),
+                Ok(None) => return,
+                Err(error) => return self.refuse(error),
+            }
+        }
+    }
+
+    /// Damage is the decoder's to skip; it is told once, and in full at the end.
+    fn refuse(&mut self, error: Error) {
+        self.refused += 1;
+        if self.refused == 1 {
+            tracing::warn!(input = self.name, %error, "damaged packets are skipped");
+        } else {
+            tracing::debug!(input = self.name, %error, "a packet was refused");
+        }
+    }
+
+    /// The source is over.
+    fn end(&self) -> Result<(), IngestError> {
+        if self.first_us.is_none() && self.ready.is_empty() {
+            let detail = format!("no picture could be decoded, {} packets were refused", self.refused);
+            return Err(IngestError::NotAVideo { input: self.name.clone(), detail });
+        }
+        if self.refused > 0 {
+            tracing::warn!(input = self.name, packets = self.refused, "damage was skipped");
         }
         Ok(())
     }
 
+    fn step_us(&self) -> i64 {
+        (1_000_000.0 / self.opened.video.frame_rate) as i64
+    }
+
     fn frame(&mut self, mut picture: ffmpeg_next::frame::Video) -> Result<Frame, IngestError> {
-        let step_us = (1_000_000.0 / self.opened.video.frame_rate) as i64;
+        let step_us = self.step_us();
         let pts_us = picture.timestamp().or(picture.pts());
         let first_us = *self.first_us.get_or_insert(pts_us.unwrap_or(0));
         let wanted = pts_us.map_or(self.last_us.map_or(0, |last| last + step_us), |pts| pts - first_us);

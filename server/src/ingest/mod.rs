@@ -78,6 +78,33 @@ impl IngestConfig {
         Self { source, looped: false, stereo: None, projection: None, max_width: None, silence: SILENCE }
     }
 
+    /// Refuses what cannot hold, and what would do nothing without a word.
+    fn check(&self) -> Result<(), IngestError> {
+        let refuse = |detail: String| Err(IngestError::UselessFlag { input: self.source.to_string(), detail });
+        let bounds = layout::MIN_WIDTH..=layout::MAX_SIDE;
+        if let Some(columns) = self.max_width
+            && !bounds.contains(&columns)
+        {
+            return refuse(format!("--max-width {columns} is not {} to {}", bounds.start(), bounds.end()));
+        }
+        if self.looped && !matches!(self.source, Source::File(_)) {
+            return refuse("--loop repeats files; a stream is opened again by itself, and a synthetic source never ends".to_owned());
+        }
+        if !matches!(self.source, Source::Synthetic(_)) {
+            return Ok(());
+        }
+        if self.max_width.is_some() {
+            return refuse("--max-width is for video from outside; write the size as synthetic:NAME?size=1280x640".to_owned());
+        }
+        if self.stereo.is_some_and(|stereo| stereo != StereoLayout::Mono) {
+            return refuse("--stereo does not apply, it is mono".to_owned());
+        }
+        if self.projection.is_some_and(|projection| projection != Projection::Equirect) {
+            return refuse("--projection does not apply, it is equirect".to_owned());
+        }
+        Ok(())
+    }
+
     fn layout_flags(&self) -> layout::LayoutFlags {
         layout::LayoutFlags { stereo: self.stereo, projection: self.projection }
     }

@@ -70,8 +70,10 @@ impl Drop for IngestHandle {
 ///
 /// # Errors
 /// At once for what cannot heal by itself: a missing or unreadable file, not a video, no video stream, a codec,
-/// size or projection that is not supported, a port in use, an unknown synthetic source. Network sources are tried for ever instead.
+/// size or projection that is not supported, a flag that means nothing for the source, a port in use, an unknown synthetic source.
+/// Network sources are tried for ever instead.
 pub fn spawn(config: IngestConfig, clock: ServerClock, sink: impl Sink + 'static) -> Result<IngestHandle, IngestError> {
+    config.check()?;
     init()?;
     let name = config.source.to_string();
     let watch = Watch::new();
@@ -162,7 +164,6 @@ fn run_address(shared: &Arc<Shared>, config: &IngestConfig) {
         };
         // A peer that left may come back at once.
         let retry_in = if listening && video_packets > 0 { Duration::ZERO } else { backoff };
-        tracing::warn!(input = shared.name, reason, ?retry_in, "the source was lost");
         shared.sink.event(IngestEvent::Interrupted { reason, retry_in });
         if !retry_in.is_zero() {
             shared.watch.sleep_until(Instant::now() + retry_in);

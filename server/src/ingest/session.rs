@@ -17,11 +17,11 @@ use super::open::Opened;
 use super::pictures::{self, Job, Pictures, Stream};
 use super::raw::{self, VideoParameters};
 use super::shared::{Shared, count};
-use super::timeline::{Lane, Timeline, micros};
+use super::timeline::{Lane, Timeline, micros, shown};
 use super::{IngestConfig, Source, VideoInfo};
 
 /// Refused reads in a row after which a source counts as lost.
-const MAX_BAD_READS: u32 = 100;
+pub(super) const MAX_BAD_READS: u32 = 100;
 /// A file that lags behind real time by more than this is paced from there on.
 const PACE_SLIP: Duration = Duration::from_millis(500);
 
@@ -225,7 +225,7 @@ impl<'a> Session<'a> {
         let dts_us = dts_us.unwrap_or_else(|| self.last_dts_us.map_or(0, |last| last + step_us));
         self.last_dts_us = Some(dts_us);
         let offset = self.offset(Lane::Video, dts_us, step_us);
-        let pts_us = packet.pts().map_or(dts_us, |pts| micros(pts, time_base)) + offset;
+        let pts_us = mended(self.shared, packet.pts().map(|pts| micros(pts, time_base)), dts_us, step_us) + offset;
         if !self.pace(dts_us + offset) {
             return Ok(false);
         }
@@ -331,7 +331,8 @@ impl<'a> Session<'a> {
         let dts_us = micros(dts, stream.time_base);
         let step_us = micros(packet.duration(), stream.time_base);
         let offset = self.timeline.offset(Lane::Audio, dts_us, step_us, i64::try_from(self.shared.clock.now().0).unwrap_or(i64::MAX));
-        let pts_us = packet.pts().map_or(dts_us, |pts| micros(pts, stream.time_base)) + offset;
+        // Sound is never reordered, however long its packets claim to be.
+        let pts_us = mended(self.shared, packet.pts().map(|pts| micros(pts, stream.time_base)), dts_us, 0) + offset;
         packet.set_pts(Some(pts_us));
         packet.set_dts(Some(dts_us + offset));
         match path.convert(&packet, pts_us) {
@@ -368,6 +369,17 @@ impl<'a> Session<'a> {
     fn step_us(&self) -> i64 {
         (1_000_000.0 / self.stream.frame_rate) as i64
     }
+}
+
+/// When a packet is shown, in the source's time; a stray timestamp is mended and counted.
+fn mended(shared: &Shared, pts_us: Option<i64>, dts_us: i64, step_us: i64) -> i64 {
+    let (shown_us, stray) = shown(pts_us, dts_us, step_us);
+    if stray {
+        count(&shared.counters.timestamp_jumps);
+        // No warning: a source that is wrong once is often wrong with every packet.
+        tracing::debug!(input = shared.name, ?pts_us, dts_us, "a stray presentation time was mended");
+    }
+    shown_us
 }
 
 /// Files and HTTP come as fast as they can be read; everything else comes at its own pace.

@@ -10,6 +10,12 @@ const JUMP_US: i64 = 2_000_000;
 /// Further than this backward is a jump; less is jitter of the muxer, microseconds.
 const BACKWARD_US: i64 = 100_000;
 
+/// Reordering shows a picture at most this long, or [`REORDERED`] frames where those last longer, after or before its decoding; more is a stray
+/// timestamp, microseconds.
+const REORDER_US: i64 = 1_000_000;
+/// Frames that H.264 and HEVC may hold back at most.
+const REORDERED: i64 = 16;
+
 /// Which stream a timestamp belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Lane {
@@ -97,6 +103,17 @@ impl Timeline {
     /// Jumps that were mended, taken out.
     pub(super) fn take_jumps(&mut self) -> u64 {
         std::mem::take(&mut self.jumps)
+    }
+}
+
+/// When a packet is shown, in the time of its `dts_us`, and whether its own timestamp was a stray one that is beyond the reach of reordering: then
+/// that is when it is decoded. What keeps timestamps rising would hold back all that follows until a stray one's time. `step_us` is the duration
+/// of a frame.
+pub(super) fn shown(pts_us: Option<i64>, dts_us: i64, step_us: i64) -> (i64, bool) {
+    let reach = REORDER_US.max(step_us.clamp(1, JUMP_US) * REORDERED);
+    match pts_us {
+        Some(pts) if pts.saturating_sub(dts_us).saturating_abs() > reach => (dts_us, true),
+        pts => (pts.unwrap_or(dts_us), false),
     }
 }
 
@@ -190,6 +207,19 @@ mod tests {
         assert_eq!(out(&mut timeline, Video, 0, 9_000_000), 9_000_000);
         timeline.reopen();
         assert_eq!(out(&mut timeline, Video, 0, 1), 9_000_000 + STEP);
+    }
+
+    #[test]
+    fn reordered_pictures_keep_their_times_and_stray_ones_do_not() {
+        assert_eq!(shown(None, 7, STEP), (7, false));
+        for ahead in [-REORDER_US, -STEP, 0, 4 * STEP, REORDER_US] {
+            assert_eq!(shown(Some(ahead), 0, STEP), (ahead, false));
+        }
+        for stray in [REORDER_US + 1, -REORDER_US - 1, 900_000_000, i64::MAX, i64::MIN] {
+            assert_eq!(shown(Some(stray), 0, STEP), (0, true));
+        }
+        // Two frames a second, all that a codec may hold back.
+        assert_eq!(shown(Some(8_000_000), 0, 500_000), (8_000_000, false));
     }
 
     #[test]

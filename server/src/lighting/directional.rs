@@ -1,9 +1,11 @@
 //! The product's own method: what stands out of the upper hemisphere becomes at most [`MOST_LIGHTS`] lights, all
 //! else SH.
 //!
-//! Differences from the paper's method: clipped light is recovered from the ground it falls on, display-linear radiance instead of the inverse tone map's, statistics
-//! weighted by solid angle, a threshold that cannot pass the brightest texel, regions that are whole across the
-//! seam and the zenith, directions averaged as vectors, and lights only where they matter to the frame.
+//! Differences from the paper's method: clipped light is recovered from the ground it falls on, display-linear radiance
+//! instead of the inverse tone map's, statistics weighted by solid angle, a threshold that cannot pass the brightest texel,
+//! regions that are whole across the seam and the zenith, directions averaged as vectors, lights only where they matter to
+//! the frame, and lights that are followed over time ([`super::track`]): what a frame shows is an observation, what is sent
+//! keeps its identity, moves and fades.
 
 use glam::{DVec3, Vec3};
 use mr360_protocol::light::{Lift, SH9};
@@ -17,15 +19,13 @@ use super::recovery::recover;
 use super::regions::{Regions, Topology, most_regions};
 use super::sampling::Grid;
 use super::track::{Bounds, Coarse, MOST_OBSERVATIONS, Observation, Tracker, View};
-use super::{Estimate, LightError, LightMethod, StepTimes};
+use super::{Estimate, LUMA, LightError, LightMethod, StepTimes};
 use crate::frame::Frame;
 
 /// Working panorama.
 const SIZE: Grid = Grid { width: 512, height: 256, supersample: 2 };
 /// Rows of the upper hemisphere.
 const UPPER_ROWS: usize = 128;
-/// BT.709 luminance of linear radiance.
-const LUMA: Vec3 = Vec3::new(0.2126, 0.7152, 0.0722);
 /// Most lights of a frame.
 pub const MOST_LIGHTS: usize = 8;
 /// A region is a light from this share of the upper hemisphere's energy on: its shadow takes at most twice that share

@@ -14,6 +14,7 @@ use mr360_protocol::scene::Scene;
 use mr360_protocol::scene_file::SceneFile;
 use mr360_protocol::stop::asked_to_stop;
 use mr360_protocol::transport;
+use tokio::sync::oneshot;
 
 use crate::broadcast::{Assets, Broadcast};
 use crate::ingest::{self, IngestHandle, ServerClock};
@@ -39,6 +40,10 @@ pub async fn run(args: ServeArgs) -> Result<(), Failure<anyhow::Error>> {
 /// A broadcast under way.
 struct OnAir {
     ingest: IngestHandle,
+    /// Hears why the source's first format could not be put on air.
+    format: oneshot::Receiver<anyhow::Error>,
+    /// The source as the user named it.
+    source: String,
     broadcast: Broadcast,
     session: tokio::task::JoinHandle<()>,
     stats: Stats,
@@ -62,17 +67,17 @@ async fn start(args: ServeArgs) -> anyhow::Result<OnAir> {
     broadcast.publish_assets(&assets)?;
     let session = tokio::spawn(session::run(scene, broadcast.scene()?, origin.consume(), settings.room.clone()));
 
-    let path = DataPath::new(broadcast.media(), broadcast.light()?, method, stats.clone(), clock);
+    let (path, format) = DataPath::new(broadcast.media(), broadcast.light()?, method, stats.clone(), clock);
     let config = settings.ingest.clone();
     let ingest = tokio::task::spawn_blocking(move || ingest::spawn(config, clock, path)).await??;
     let doors = doors.open(&origin)?;
-    Ok(OnAir { ingest, broadcast, session, stats, doors })
+    Ok(OnAir { ingest, format, source: settings.ingest.source.to_string(), broadcast, session, stats, doors })
 }
 
 impl OnAir {
     async fn run(self) -> anyhow::Result<()> {
-        let Self { ingest, broadcast, session, stats, mut doors } = self;
-        let failed = tokio::select! {
+        let Self { ingest, mut format, source, broadcast, session, stats, mut doors } = self;
+        let mut failed = tokio::select! {
             () = asked_to_stop() => {
                 tracing::info!("asked to stop");
                 None
@@ -82,6 +87,7 @@ impl OnAir {
                 None
             }
             fault = doors.failed() => Some(fault),
+            Ok(fault) = &mut format => Some(fault.context(source.clone())),
         };
         ingest.stop();
         let counters = ingest.counters();
@@ -90,6 +96,12 @@ impl OnAir {
         doors.close().await;
         drop(broadcast);
         eprintln!("{}", stats.summary(counters));
+        // A short file may be over before its format's fault was heard.
+        if failed.is_none()
+            && let Ok(fault) = format.try_recv()
+        {
+            failed = Some(fault.context(source));
+        }
         match failed {
             Some(fault) => Err(fault),
             None => Ok(end?),

@@ -114,4 +114,42 @@ fn impossible_flags_are_refused() {
     let media = make(dir.path(), "a.mp4", &format!("{} {X264}", picture(128, 64, 0.1)));
     let config = IngestConfig { projection: Some(Projection::DualFisheye { fov_deg: f32::NAN }), ..file(&media) };
     assert!(matches!(refused(config), IngestError::UnsupportedProjection { .. }));
+    for columns in [0, 1, 15, 8193, u32::MAX] {
+        let error = refused(IngestConfig { max_width: Some(columns), ..file(&media) });
+        assert!(error.to_string().contains("16 to 8192"), "{error}");
+    }
+}
+
+#[test]
+fn flags_that_would_do_nothing_are_refused() {
+    let synthetic = || IngestConfig::new(Source::parse("synthetic:testcard").unwrap());
+    let stream = || IngestConfig::new(Source::parse("udp://127.0.0.1:9").unwrap());
+    let cases = [
+        (IngestConfig { looped: true, ..synthetic() }, "loop"),
+        (IngestConfig { looped: true, ..stream() }, "loop"),
+        (IngestConfig { stereo: Some(StereoLayout::TopBottom), ..synthetic() }, "stereo"),
+        (IngestConfig { projection: Some(Projection::Eac), ..synthetic() }, "projection"),
+        (IngestConfig { max_width: Some(64), ..synthetic() }, "max-width"),
+    ];
+    for (config, flag) in cases {
+        let error = refused(config).to_string();
+        assert!(error.contains(flag), "{flag}: {error}");
+    }
+    let options = DecodeOptions { stereo: Some(StereoLayout::TopBottom), projection: None };
+    let error = decode_frames(&Source::parse("synthetic:testcard").unwrap(), options).err().unwrap();
+    assert!(error.to_string().contains("stereo"), "{error}");
+}
+
+#[test]
+fn a_file_of_noise_has_no_pictures_and_says_so() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut bytes = std::fs::read(make(dir.path(), "a.mp4", &format!("{} {X264} -movflags faststart", picture(64, 32, 0.5)))).unwrap();
+    let media = bytes.windows(4).rposition(|word| word == b"mdat").unwrap() + 4;
+    bytes[media..].fill(0xff);
+    let noise = dir.path().join("noise.mp4");
+    std::fs::write(&noise, bytes).unwrap();
+    let mut frames = decode_frames(&Source::File(noise), DecodeOptions::default()).unwrap();
+    let error = frames.next().unwrap().err().unwrap();
+    assert!(error.to_string().contains("noise.mp4") && error.to_string().contains("no picture"), "{error}");
+    assert!(frames.next().is_none());
 }

@@ -157,6 +157,31 @@ fn a_jump_of_the_timestamps_is_mended() {
     }
 }
 
+/// One packet in the middle is to be shown a quarter of an hour after its decoding; what follows must not wait for that time.
+#[test]
+fn a_stray_presentation_time_holds_up_nothing() {
+    // Of 90 kHz; one sound a packet, as others have no timestamp of their own.
+    const STRAY: &str = "setts=pts=if(eq(N\\,20)\\,PTS+81000000\\,PTS) -pes_payload_size 0";
+    let dir = tempfile::tempdir().unwrap();
+    for stream in ["v", "a"] {
+        let arguments = format!("{} {} {X264} -g 15 -c:a aac -bsf:{stream} {STRAY}", picture(128, 64, 2.0), tone(2.0));
+        let media = make(dir.path(), &format!("stray-{stream}.ts"), &arguments);
+        for max_width in [None, Some(64)] {
+            let (outcome, counters) = Outcome::whole(IngestConfig { max_width, ..file(&media) });
+            outcome.check();
+            let what = format!("{stream} {max_width:?}");
+            assert!(outcome.video.len() >= 58, "{what}: {} access units", outcome.video.len());
+            let video = outcome.video.last().unwrap().pts_us - outcome.video[0].pts_us;
+            let audio = outcome.audio.last().unwrap().pts_us - outcome.audio[0].pts_us;
+            assert!(video.abs_diff(1_966_667) < 50_000 && audio.abs_diff(2_000_000) < 100_000, "{what}: {video} and {audio} µs");
+            assert!(counters.timestamp_jumps >= 1, "{what}: {counters:?}");
+        }
+        let frames = decode_frames(&Source::File(media), DecodeOptions::default()).unwrap().map(Result::unwrap);
+        let last = frames.map(|frame| frame.pts_us).last().unwrap();
+        assert!(last.abs_diff(1_966_667) < 50_000, "{stream}: {last}");
+    }
+}
+
 #[test]
 fn the_test_card_arrives_with_its_numbers() {
     let config = IngestConfig::new(Source::parse("synthetic:testcard?size=256x128&fps=60").unwrap());

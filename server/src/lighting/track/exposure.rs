@@ -7,6 +7,7 @@
 
 use glam::{DVec3, Vec3};
 
+use super::super::LUMA;
 use super::super::panorama::Panorama;
 
 /// Columns of the coarse panorama.
@@ -15,8 +16,6 @@ const COLUMNS: usize = 64;
 const ROWS: usize = 32;
 /// Rows that take part: latitudes up to 61°. Above and below, texels are slivers, and stitched cameras fill the poles in.
 const FIRST_ROW: usize = 5;
-/// BT.709 luminance of linear radiance.
-const LUMA: Vec3 = Vec3::new(0.2126, 0.7152, 0.0722);
 /// Time in which the reference takes on what changes in the scene itself.
 const RENEWAL_S: f64 = 1.0;
 /// Least number of texels for a median, a twentieth of those that take part.
