@@ -24,11 +24,11 @@ impl PictureFile {
     /// # Errors
     /// [`RecordError::Picture`] when there can be no such file.
     pub fn create(path: &Path, format: ImageFormat) -> Result<Self, RecordError> {
-        let name = path.file_name().filter(|_| !path.is_dir()).ok_or_else(|| failure(path, "not a file name"))?;
+        let name = path.file_name().filter(|_| !path.is_dir()).ok_or_else(|| failure(path, &"not a file name"))?;
         let mut part = name.to_owned();
         part.push(".part");
         let part = path.with_file_name(part);
-        let file = File::create(&part).map_err(|error| failure(path, error))?;
+        let file = File::create(&part).map_err(|error| failure(path, &error))?;
         Ok(Self { path: path.to_owned(), part, file, format })
     }
 
@@ -38,8 +38,8 @@ impl PictureFile {
     /// [`RecordError::Picture`] when the disk is full, or the format does not hold such pixels.
     pub fn write(self, picture: &DynamicImage) -> Result<(), RecordError> {
         let mut out = BufWriter::new(&self.file);
-        picture.write_to(&mut out, self.format).map_err(|error| failure(&self.path, error))?;
-        out.flush().and_then(|()| std::fs::rename(&self.part, &self.path)).map_err(|error| failure(&self.path, error))
+        picture.write_to(&mut out, self.format).map_err(|error| failure(&self.path, &error))?;
+        out.flush().and_then(|()| std::fs::rename(&self.part, &self.path)).map_err(|error| failure(&self.path, &error))
     }
 }
 
@@ -50,7 +50,7 @@ impl Drop for PictureFile {
     }
 }
 
-fn failure(path: &Path, detail: impl ToString) -> RecordError {
+fn failure(path: &Path, detail: &dyn std::fmt::Display) -> RecordError {
     RecordError::Picture { path: path.display().to_string(), detail: detail.to_string() }
 }
 
