@@ -224,7 +224,7 @@ pub(super) fn chart_name(exposure: Exposure) -> String {
 }
 
 /// Median time against median error of an exposure, both logarithmic, over the held-out half, or over everything where
-/// nothing was held out. Sweeps are lines.
+/// nothing was held out. Sweeps are lines; the front is that of the server's own methods.
 ///
 /// # Errors
 /// When an error or a time is not positive.
