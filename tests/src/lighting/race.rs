@@ -116,12 +116,12 @@ impl Entrant {
 
 /// Round by round every method once, so that whatever else the machine does meets all of them alike. The first round warms
 /// up and is not counted. The light is that of the last round: what a still scene settles to.
-fn race(taken: &Taken, width: usize, specs: &[MethodSpec], mut peer: Option<&mut Peer>, rounds: u32) -> Result<Vec<Entrant>> {
+fn race(taken: &Taken, width: usize, specs: &[MethodSpec], peer: Option<&mut Peer>, rounds: u32) -> Result<Vec<Entrant>> {
     let mut methods: Vec<Box<dyn LightMethod>> = specs.iter().map(|spec| spec.make()).collect();
     let mut entrants: Vec<Entrant> = specs.iter().map(|spec| Entrant { method: spec.to_string(), ..Entrant::default() }).collect();
     let mut ran = Entrant { method: opencv::NAME.to_owned(), ..Entrant::default() };
     // The peer reads 8 bits only.
-    let mut guest = taken.codes.as_ref().and_then(|codes| Some((peer.as_deref_mut()?, codes)));
+    let mut guest = taken.codes.as_ref().and_then(|codes| Some((peer?, codes)));
     if let Some((peer, codes)) = &mut guest {
         peer.take(codes, width)?;
     }
@@ -190,8 +190,9 @@ mod tests {
                 Dominant::OffDeg(off) => assert!(lights && off < 1.0, "{row:?}"),
                 missed => assert!(!lights && missed == Dominant::NoLight, "{row:?}"),
             }
-            // Lights and harmonics of true HDR are within a few per cent, harmonics alone ring; clipping loses most of the sun.
-            assert_eq!(row.score.absolute < 0.05, hdr && lights, "{row:?}");
+            // True HDR is met within a few per cent; harmonics of the clipped sky lack the sun, a third of all irradiance.
+            assert!(!hdr || row.score.absolute < 0.05, "{row:?}");
+            assert!(hdr || lights || row.score.absolute > 0.1, "{row:?}");
             assert!(row.time_ms > 0.0 && row.wire_bytes.is_some() && (row.method != REFERENCE || row.time_ratio == 1.0));
         }
     }

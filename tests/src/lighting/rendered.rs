@@ -252,9 +252,9 @@ mod tests {
         }
         // A white diffuse sphere vanishes in even light; the ground darkens beside the cylinder alone.
         assert!(truth[0].iter().all(|pixel| (pixel.x - 1.0).abs() < 2e-3));
-        // Single scattering off a conductor of α = 0.25 keeps 94 to 99 % of the light where it faces the eye.
+        // One scattering off a conductor of α = 0.25 that faces the eye returns 91.6 % of even light, integrated elsewhere.
         let facing = truth[1][truth[1].len() / 2 + SIDE / 2].x;
-        assert!((0.94..=1.0).contains(&facing), "{facing}");
+        assert!((facing - 0.9158).abs() < 2e-3, "{facing}");
         let (near, far) = (truth[2].iter().map(|p| p.x).fold(1.0, f64::min), truth[2][0].x);
         assert!(near < 0.75 && far > 0.95 && far <= 1.002, "{near} {far}");
         // Twice as bright: off by half of the truth, and by nothing after the best scale; the diffuse sphere is even.

@@ -208,8 +208,8 @@ mod tests {
         for middle in [Vec3::Z, Vec3::new(0.01, 0.4, 0.9), Vec3::Y, Vec3::new(0.02, 1.0, 0.03), Vec3::new(0.3, 0.5, -0.6)] {
             let middle = (middle + Vec3::Y * 0.2).normalize();
             let found = Truth::of(&sky(middle, 1.5, 3e4), &Normals::new()).dominant.unwrap();
-            // The even sky in the cap pulls nothing aside; pixels are 0.7° apart and symmetric but for the disc's edge.
-            assert!(found.angle_between(middle).to_degrees() < 0.1, "{middle}: {found}");
+            // Pixels of 0.7° draw the disc's edge unevenly: half of one.
+            assert!(found.angle_between(middle).to_degrees() < 0.35, "{middle}: {found}");
         }
     }
 
