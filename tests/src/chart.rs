@@ -4,8 +4,10 @@ use anyhow::{Result, ensure};
 
 use crate::svg::{Anchor, Svg};
 
-/// Colours that stay apart for colour-blind readers too (Okabe & Ito 2008).
-const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000"];
+/// Colours that stay apart for colour-blind readers too (Okabe & Ito 2008; the last one Tol 2021).
+const COLOURS: [&str; 9] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#f0e442", "#999933"];
+/// Of [`Mark::Front`].
+const FRONT: &str = "#888";
 const SIZE: (f64, f64) = (760.0, 420.0);
 /// Left, top, right, bottom; the right one holds the legend.
 const MARGIN: (f64, f64, f64, f64) = (76.0, 44.0, 190.0, 56.0);
@@ -36,6 +38,8 @@ pub enum Mark {
     Line,
     /// Dots alone.
     Scatter,
+    /// Grey dashes in the order given, in steps: right, then up or down. For the front of points that other series draw.
+    Front,
 }
 
 /// Points that belong together.
@@ -78,18 +82,30 @@ impl Chart {
         y.draw_up(&mut svg, &self.y.label, &x);
         for (at, (series, colour)) in self.series.iter().zip(COLOURS.iter().cycle()).enumerate() {
             let points: Vec<_> = series.points.iter().map(|(vx, vy)| (x.place(*vx), y.place(*vy))).collect();
-            if series.mark == Mark::Line {
-                svg.polyline(&points, colour, 2.0);
+            let row = top + 10.0 + at as f64 * (FONT + 8.0);
+            svg.text((SIZE.0 - right + 32.0, row), Anchor::Start, FONT, 0.0, &series.name);
+            match series.mark {
+                Mark::Line => svg.polyline(&points, colour, 2.0),
+                Mark::Scatter => {}
+                Mark::Front => {
+                    svg.dashes(&steps(&points), FRONT, 1.5);
+                    svg.dashes(&[(SIZE.0 - right + 12.0, row - 4.0), (SIZE.0 - right + 28.0, row - 4.0)], FRONT, 1.5);
+                    continue;
+                }
             }
             for (place, (vx, vy)) in points.iter().zip(&series.points) {
                 svg.dot(*place, 3.5, colour, &format!("{}: {}, {}", series.name, number(*vx), number(*vy)));
             }
-            let row = top + 10.0 + at as f64 * (FONT + 8.0);
             svg.dot((SIZE.0 - right + 20.0, row - 4.0), 5.0, colour, &series.name);
-            svg.text((SIZE.0 - right + 32.0, row), Anchor::Start, FONT, 0.0, &series.name);
         }
         Ok(svg.finish())
     }
+}
+
+/// The points with a corner between every two: as far right as the later one, as high as the earlier one.
+fn steps(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let corners = points.windows(2).flat_map(|pair| [(pair[1].0, pair[0].1), pair[1]]);
+    points.first().copied().into_iter().chain(corners).collect()
 }
 
 /// An axis with its range, laid between two pixels.
@@ -218,6 +234,17 @@ mod tests {
         let svg = chart(Scale::Log, &[(1.0, 2.0), (10.0, 3.0)]).svg().unwrap();
         assert!(svg.contains("a &amp; b: 1, 2") && svg.contains("a &amp; b: 10, 3") && svg.contains("time / ms"));
         assert_eq!(svg.matches("<polyline").count(), 1);
+    }
+
+    #[test]
+    fn a_front_is_dashed_in_steps_and_has_no_dots() {
+        assert_eq!(steps(&[(0.0, 9.0), (2.0, 5.0), (3.0, 1.0)]), [(0.0, 9.0), (2.0, 9.0), (2.0, 5.0), (3.0, 5.0), (3.0, 1.0)]);
+        let mut chart = chart(Scale::Log, &[(1.0, 2.0), (10.0, 3.0)]);
+        let dots = chart.svg().unwrap().matches("<circle").count();
+        chart.series.push(Series { name: "front".to_owned(), points: vec![(1.0, 2.0)], mark: Mark::Front });
+        let svg = chart.svg().unwrap();
+        assert_eq!((svg.matches("<circle").count(), svg.matches("stroke-dasharray").count()), (dots, 2));
+        assert!(svg.contains(">front<"));
     }
 
     #[test]

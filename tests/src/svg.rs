@@ -50,6 +50,15 @@ impl Svg {
         self.element(format_args!("<polyline points=\"{points}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"{width}\"/>"));
     }
 
+    /// Dashes from point to point, behind which other marks stay visible.
+    pub fn dashes(&mut self, points: &[(f64, f64)], colour: &str, width: f64) {
+        let points: Vec<_> = points.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
+        let (points, colour) = (points.join(" "), escaped(colour));
+        self.element(format_args!(
+            "<polyline points=\"{points}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"{width}\" stroke-dasharray=\"6 4\"/>"
+        ));
+    }
+
     /// A filled disc; `title` appears under the pointer.
     pub fn dot(&mut self, (x, y): (f64, f64), radius: f64, colour: &str, title: &str) {
         let (colour, title) = (escaped(colour), escaped(title));

@@ -4,7 +4,7 @@ use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, Parser, Subcommand, ValueEnum};
 use mr360_protocol::failure::{self, Failure};
 use mr360_tests::{figures, lighting, network, render};
 
@@ -21,7 +21,7 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Bench {
-    /// Light and decoding of large frames: time of every step, share of one core.
+    /// Light: accuracy against time of every method on HDR panoramas; steps and share of one core for large frames of a clip.
     Lighting(Lighting),
     /// The demo's scene in a viewer beside its server: first picture, frame rate, time of every pass, age of light.
     Render(Render),
@@ -40,15 +40,45 @@ struct Lighting {
     /// Folder for the results; made where it is missing.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Size of the frames.
+    /// What is measured; everything unless given.
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "accuracy,large-frames")]
+    part: Vec<Part>,
+    /// Folder of .exr and .hdr panoramas that accuracy is measured on, instead of those that deploy/fetch-media brought.
+    #[arg(long, value_name = "FOLDER")]
+    panoramas: Option<PathBuf>,
+    /// How often every method is timed on every frame.
+    #[arg(long, default_value_t = 5, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    rounds: u32,
+    /// A Python with numpy and opencv-contrib-python-headless: races the paper's method written with OpenCV, too.
+    #[arg(long, value_name = "PATH")]
+    python: Option<PathBuf>,
+    /// Size of the large frames.
     #[arg(long, default_value = "3840x1920", value_name = "WxH", value_parser = parse_size)]
     size: (u32, u32),
-    /// Frames measured.
+    /// Large frames measured.
     #[arg(long, default_value_t = 150, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
     frames: u32,
-    /// Light method.
+    /// Light method for the large frames.
     #[arg(long, default_value = "directional", value_name = "NAME")]
     method: String,
+}
+
+/// What `lighting` measures.
+#[derive(Clone, Copy, ValueEnum)]
+enum Part {
+    /// Accuracy and time of every method on panoramas.
+    Accuracy,
+    /// Steps and share of a core of one method on large frames.
+    LargeFrames,
+}
+
+impl From<Part> for lighting::Part {
+    fn from(part: Part) -> Self {
+        match part {
+            Part::Accuracy => Self::Accuracy,
+            Part::LargeFrames => Self::LargeFrames,
+        }
+    }
 }
 
 #[derive(Args)]
@@ -108,7 +138,10 @@ fn parse_size(text: &str) -> Result<(u32, u32), String> {
 
 fn run(bench: Bench) -> anyhow::Result<()> {
     match bench {
-        Bench::Lighting(Lighting { out, size, frames, method }) => lighting::run(&lighting::Options { size, frames, method, out }),
+        Bench::Lighting(Lighting { out, part, panoramas, rounds, python, size, frames, method }) => {
+            let parts = part.into_iter().map(Into::into).collect();
+            lighting::run(&lighting::Options { parts, panoramas, rounds, python, size, frames, method, out })
+        }
         Bench::Render(Render { out, source, scene, size, frames }) => render::run(&render::Options { source, scene, size, frames, out }),
         Bench::Network(Network { out, viewers, seconds, source, size }) => {
             network::run(&network::Options { viewers, seconds, source, size, out })

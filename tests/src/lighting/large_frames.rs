@@ -3,13 +3,13 @@
 //! The frames are those of the real clip, its left eye's view scaled up: its noise and its number of bright spots are a camera's.
 
 use std::collections::BTreeMap;
-use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 
 use anyhow::{Context, Result, ensure};
 use serde::Deserialize;
 
+use super::Options;
 use crate::chart::{Axis, Chart, Mark, Scale, Series, number};
 use crate::clips;
 use crate::figures::{Quantiles, save};
@@ -21,19 +21,6 @@ const FRAME_RATE: f64 = 30.0;
 /// What `analyze` calls all steps together.
 const TOTAL: &str = "total";
 
-/// What to run.
-#[derive(Debug, Clone)]
-pub struct Options {
-    /// Columns and rows, 2:1.
-    pub size: (u32, u32),
-    /// Frames measured, besides the first, which fills buffers and tables.
-    pub frames: u32,
-    /// As for `mr360-server analyze --method`.
-    pub method: String,
-    /// Folder that the results go into; made where it is missing.
-    pub out: PathBuf,
-}
-
 /// A line of `analyze --json`.
 #[derive(Deserialize)]
 struct Line {
@@ -41,13 +28,11 @@ struct Line {
     elapsed_ms: BTreeMap<String, f64>,
 }
 
-/// Runs the bench and writes `lighting.csv`, `lighting.md` and the chart `lighting-time.svg`.
+/// Measures, writes `lighting.csv` and the chart `lighting-time.svg`, and returns the section of the summary.
 ///
 /// # Errors
 /// When the clip was not fetched, a program fails, or the results cannot be written.
-pub fn run(options: &Options) -> Result<()> {
-    ensure!(options.frames > 0, "--frames wants 1 or more");
-    fs::create_dir_all(&options.out).with_context(|| format!("--out {}: cannot be made", options.out.display()))?;
+pub(super) fn run(options: &Options) -> Result<String> {
     let clip = media("congo_2048.mp4")?;
     let sandbox = Sandbox::new()?;
     let (width, height) = options.size;
@@ -102,7 +87,7 @@ fn share(ms: f64) -> String {
     number(ms * FRAME_RATE / 10.0)
 }
 
-fn write(options: &Options, steps: &BTreeMap<String, Vec<f64>>, decoding_ms: f64) -> Result<()> {
+fn write(options: &Options, steps: &BTreeMap<String, Vec<f64>>, decoding_ms: f64) -> Result<String> {
     let share_column = format!("% of a core at {FRAME_RATE} frames/s");
     let mut table = Table::new(&["step", "p50 ms", "p95 ms", &share_column]);
     for (step, times) in steps.iter().filter(|(step, _)| *step != TOTAL).chain(steps.get_key_value(TOTAL)) {
@@ -127,16 +112,15 @@ fn write(options: &Options, steps: &BTreeMap<String, Vec<f64>>, decoding_ms: f64
     let (width, height) = options.size;
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let summary = format!(
-        "# Lighting\n\n`mr360-bench lighting`: method `{}`, {} frames of {width}×{height} after the first, H.264, on a machine with {cores} \
+        "## Large frames\n\nMethod `{}`, {} frames of {width}×{height} after the first, H.264, on a machine with {cores} \
          cores. Light is one thread's wall time, decoding is CPU time.\n\n{}\n![Time](lighting-time.svg)\n",
         options.method,
         options.frames,
         table.markdown(),
     );
-    for (name, content) in [("lighting.csv", table.csv()), ("lighting.md", summary), ("lighting-time.svg", chart.svg()?)] {
-        save(&options.out, name, &content)?;
-    }
-    Ok(())
+    save(&options.out, "lighting.csv", &table.csv())?;
+    save(&options.out, "lighting-time.svg", &chart.svg()?)?;
+    Ok(summary)
 }
 
 #[cfg(test)]
@@ -153,14 +137,23 @@ mod tests {
     #[test]
     fn results_are_written() {
         let folder = tempfile::tempdir().unwrap();
-        let options = Options { size: (3840, 1920), frames: 2, method: "directional".to_owned(), out: folder.path().to_owned() };
+        let options = Options {
+            parts: Vec::new(),
+            panoramas: None,
+            rounds: 1,
+            python: None,
+            size: (3840, 1920),
+            frames: 2,
+            method: "directional".to_owned(),
+            out: folder.path().to_owned(),
+        };
         let line = |sample, total| BTreeMap::from([("sample".to_owned(), sample), (TOTAL.to_owned(), total)]);
-        write(&options, &by_step(&[line(1.0, 3.0), line(2.0, 4.0)]), 20.0).unwrap();
-        let csv = fs::read_to_string(folder.path().join("lighting.csv")).unwrap();
+        let section = write(&options, &by_step(&[line(1.0, 3.0), line(2.0, 4.0)]), 20.0).unwrap();
+        let csv = std::fs::read_to_string(folder.path().join("lighting.csv")).unwrap();
         assert_eq!(
             csv.lines().skip(1).collect::<Vec<_>>(),
             ["sample,1,2,3", "\"light, all steps\",3,4,9", "\"decoding (mean, one thread)\",20,,60"]
         );
-        assert!(folder.path().join("lighting-time.svg").is_file() && folder.path().join("lighting.md").is_file());
+        assert!(folder.path().join("lighting-time.svg").is_file() && section.contains("| sample | 1 | 2 | 3 |"));
     }
 }

@@ -1,0 +1,199 @@
+//! Every method on every panorama through every exposure: light, score and time.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::{Context, Result};
+use mr360_server::lighting::{LightMethod, MethodSpec, StepTimes};
+
+use super::exposure::{Exposure, Taken};
+use super::irradiance::Normals;
+use super::opencv::{self, Peer};
+use super::radiance_map::{Half, RadianceMap};
+use super::rendered::{self, Stage};
+use super::score::{Light, Score};
+use super::truth::Truth;
+use crate::samples::percentile;
+
+/// Numbers of lights in the sweeps.
+pub(super) const SWEPT_LIGHTS: [usize; 7] = [1, 2, 4, 8, 16, 32, 64];
+/// Methods that are swept.
+pub(super) const SWEPT: [&str; 3] = ["median-cut", "variance-cut", "k-means"];
+/// The paper's method, in whose time others are told.
+pub(super) const REFERENCE: &str = "mr360";
+
+/// One method on one panorama through one exposure.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Row {
+    /// As `--method` names it, parameter included, or the peer's name.
+    pub(super) method: String,
+    /// File name without its ending.
+    pub(super) panorama: String,
+    /// Where it belongs.
+    pub(super) half: Half,
+    /// How it was shown.
+    pub(super) exposure: Exposure,
+    /// Errors.
+    pub(super) score: Score,
+    /// Errors of rendered pictures.
+    pub(super) rendered: rendered::Errors,
+    /// Number of lights.
+    pub(super) lights: usize,
+    /// Bytes of the message; none where it cannot be sent.
+    pub(super) wire_bytes: Option<usize>,
+    /// Median over the rounds.
+    pub(super) time_ms: f64,
+    /// That over [`REFERENCE`]'s on the same frame.
+    pub(super) time_ratio: f64,
+}
+
+/// The methods with their default parameters and SH's larger set, then the sweeps of those that take a number of lights.
+///
+/// # Errors
+/// When the server no longer knows one of them.
+pub(super) fn methods() -> Result<Vec<MethodSpec>> {
+    let swept = SWEPT.iter().flat_map(|name| SWEPT_LIGHTS.iter().map(move |lights| format!("{name}:{lights}")));
+    let mut specs: Vec<MethodSpec> = MethodSpec::all().collect();
+    for name in std::iter::once("sh:25".to_owned()).chain(swept) {
+        let spec = name.parse().with_context(|| format!("the bench asks for {name:?}"))?;
+        if !specs.contains(&spec) {
+            specs.push(spec);
+        }
+    }
+    Ok(specs)
+}
+
+/// Races `specs`, and the peer where there is one, over `files`, each frame `rounds` times after a warm-up.
+///
+/// # Errors
+/// When a panorama cannot be used or a method or the peer fails.
+pub(super) fn run(files: &[PathBuf], specs: &[MethodSpec], mut peer: Option<&mut Peer>, rounds: u32) -> Result<Vec<Row>> {
+    let (normals, stage) = (Normals::new(), Stage::new());
+    let mut rows = Vec::new();
+    for (place, path) in files.iter().enumerate() {
+        let panorama = name(path);
+        eprintln!("lighting: {panorama} ({} of {})", place + 1, files.len());
+        let map = RadianceMap::load(path)?;
+        let (truth, pictures) = (Truth::of(&map, &normals), stage.under_truth(&map));
+        for exposure in Exposure::ALL {
+            let taken = exposure.take(&map).with_context(|| path.display().to_string())?;
+            let raced = race(&taken, map.width, specs, peer.as_deref_mut(), rounds).with_context(|| path.display().to_string())?;
+            let reference = raced.iter().find(|entrant| entrant.method == REFERENCE).map_or(f64::NAN, Entrant::time_ms);
+            rows.extend(raced.iter().map(|entrant| Row {
+                method: entrant.method.clone(),
+                panorama: panorama.clone(),
+                half: Half::of_place(place),
+                exposure,
+                score: Score::of(&entrant.light, &truth, taken.scale, &normals),
+                rendered: rendered::errors(&stage.under(&entrant.light), &pictures, taken.scale),
+                lights: entrant.light.lights.len(),
+                wire_bytes: entrant.light.wire_bytes().ok(),
+                time_ms: entrant.time_ms(),
+                time_ratio: entrant.time_ms() / reference,
+            }));
+        }
+    }
+    Ok(rows)
+}
+
+fn name(path: &Path) -> String {
+    path.file_stem().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
+}
+
+/// A method, what it found and how long each round took.
+#[derive(Default)]
+struct Entrant {
+    method: String,
+    light: Light,
+    times_ms: Vec<f64>,
+}
+
+impl Entrant {
+    fn time_ms(&self) -> f64 {
+        percentile(&self.times_ms, 0.5).unwrap_or(f64::NAN)
+    }
+}
+
+/// Round by round every method once, so that whatever else the machine does meets all of them alike. The first round warms
+/// up and is not counted. The light is that of the last round: what a still scene settles to.
+fn race(taken: &Taken, width: usize, specs: &[MethodSpec], peer: Option<&mut Peer>, rounds: u32) -> Result<Vec<Entrant>> {
+    let mut methods: Vec<Box<dyn LightMethod>> = specs.iter().map(|spec| spec.make()).collect();
+    let mut entrants: Vec<Entrant> = specs.iter().map(|spec| Entrant { method: spec.to_string(), ..Entrant::default() }).collect();
+    let mut ran = Entrant { method: opencv::NAME.to_owned(), ..Entrant::default() };
+    // The peer reads 8 bits only.
+    let mut guest = taken.codes.as_ref().and_then(|codes| Some((peer?, codes)));
+    if let Some((peer, codes)) = &mut guest {
+        peer.take(codes, width)?;
+    }
+    for round in 0..=rounds {
+        for (method, entrant) in methods.iter_mut().zip(&mut entrants) {
+            let started = Instant::now();
+            let estimate = method.estimate(&taken.frame, &mut StepTimes::default()).with_context(|| entrant.method.clone())?;
+            let elapsed_ms = started.elapsed().as_secs_f64() * 1e3;
+            if round > 0 {
+                entrant.times_ms.push(elapsed_ms);
+            }
+            if round == rounds {
+                entrant.light = estimate.into();
+            }
+        }
+        if let Some((peer, _)) = &mut guest {
+            let elapsed_ms = peer.run()?;
+            if round > 0 {
+                ran.times_ms.push(elapsed_ms);
+            }
+        }
+    }
+    if let Some((peer, _)) = &mut guest {
+        ran.light = peer.light()?;
+        entrants.push(ran);
+    }
+    Ok(entrants)
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+
+    use super::*;
+    use crate::lighting::score::Dominant;
+
+    #[test]
+    fn every_method_of_the_server_is_raced_once() {
+        let names: Vec<String> = methods().unwrap().iter().map(ToString::to_string).collect();
+        for spec in MethodSpec::all() {
+            assert_eq!(names.iter().filter(|name| **name == spec.to_string()).count(), 1, "{spec}");
+        }
+        assert!(names.contains(&REFERENCE.to_owned()) && names.contains(&"k-means:64".to_owned()) && names.contains(&"sh:25".to_owned()));
+    }
+
+    #[test]
+    fn a_sun_in_an_even_sky_is_scored_through_every_exposure() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("sun.exr");
+        let to_sun = Vec3::new(0.3, 0.8, -0.5).normalize();
+        let map = RadianceMap::of(128, |direction| match direction {
+            d if d.dot(to_sun) > 4f32.to_radians().cos() => Vec3::splat(300.0),
+            d if d.y > 0.0 => Vec3::new(0.9, 1.0, 1.2),
+            _ => Vec3::splat(0.3),
+        });
+        let texels = map.texels().iter().flat_map(Vec3::to_array).collect();
+        image::Rgb32FImage::from_raw(256, 128, texels).unwrap().save(&path).unwrap();
+        let specs = ["directional", "mr360", "sh:9"].map(|name| name.parse().unwrap());
+        let rows = run(&[path], &specs, None, 2).unwrap();
+        assert_eq!(rows.len(), 12);
+        for row in &rows {
+            let (hdr, lights) = (row.exposure == Exposure::Hdr, row.method != "sh:9");
+            assert_eq!((row.panorama.as_str(), row.half, row.lights > 0), ("sun", Half::Tune, lights), "{row:?}");
+            match row.score.dominant {
+                // A disc of 4° that stands alone, at a resolution of 1.4°.
+                Dominant::OffDeg(off) => assert!(lights && off < 1.0, "{row:?}"),
+                missed => assert!(!lights && missed == Dominant::NoLight, "{row:?}"),
+            }
+            // True HDR is met within a few per cent; harmonics of the clipped sky lack the sun, a third of all irradiance.
+            assert!(!hdr || row.score.absolute < 0.05, "{row:?}");
+            assert!(hdr || lights || row.score.absolute > 0.1, "{row:?}");
+            assert!(row.time_ms > 0.0 && row.wire_bytes.is_some() && (row.method != REFERENCE || row.time_ratio == 1.0));
+        }
+    }
+}
