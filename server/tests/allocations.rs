@@ -4,6 +4,7 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
 use ffmpeg_next::format::Pixel;
+use mr360_protocol::light::MAX_LIGHTS;
 use mr360_protocol::video::{Colour, StereoLayout, Transfer};
 use mr360_server::frame::{Frame, Pixels};
 use mr360_server::lighting::{MethodSpec, StepTimes};
@@ -61,13 +62,19 @@ const WIDTH: u32 = 1024;
 const HEIGHT: u32 = 512;
 
 /// Brightness in [0, 1] of a pixel in each of the pictures: black, then one sun, hundreds of specks, as many specks as a working panorama
-/// of half this size can tell apart, and a sky that is one region.
-const PICTURES: [fn(u32, u32) -> f32; 5] = [
+/// of half this size can tell apart, a sky that is one region over a striped ground,
+/// and the sun with two lamps beside it.
+const PICTURES: [fn(u32, u32) -> f32; 6] = [
     |_, _| 0.0,
-    |x, y| if x.abs_diff(300) < 9 && y.abs_diff(90) < 9 { 1.0 } else { 0.1 },
+    |x, y| if x.abs_diff(300) < 9 && y.abs_diff(90) < 9 { 1.0 } else { 0.01 },
     |x, y| if x % 32 < 2 && y % 32 < 2 { 1.0 } else { 0.02 },
     |x, y| if x % 4 < 2 && y % 4 < 2 { 1.0 } else { 0.02 },
-    |_, y| if y < 40 { 1.0 } else { 0.2 },
+    |x, y| match (y < 40, x % 64 < 32) {
+        (true, _) => 1.0,
+        (false, true) => 0.3,
+        (false, false) => 0.1,
+    },
+    |x, y| if [300, 600, 900].iter().any(|lamp| x.abs_diff(*lamp) < 9) && y.abs_diff(90) < 9 { 1.0 } else { 0.01 },
 ];
 
 fn rgb(transfer: Transfer, picture: fn(u32, u32) -> f32) -> Pixels {
@@ -90,6 +97,10 @@ fn video(format: Pixel, picture: fn(u32, u32) -> f32) -> Pixels {
     Pixels::Video(video, Colour { bit_depth: if bytes == 2 { 10 } else { 8 }, ..Colour::default() })
 }
 
+/// Which picture is shown, and in how many frames: a sun, lamps that are born beside it and die, another place at once, and specks; each
+/// long enough for births, deaths and their fades.
+const SHOWN: [(usize, usize); 8] = [(0, 1), (1, 8), (5, 8), (1, 10), (4, 10), (2, 8), (3, 4), (1, 8)];
+
 #[test]
 fn frames_after_the_first_are_estimated_without_allocating() {
     type Source = (&'static str, fn(fn(u32, u32) -> f32) -> Pixels);
@@ -102,21 +113,55 @@ fn frames_after_the_first_are_estimated_without_allocating() {
     for spec in MethodSpec::all() {
         for (source, pixels) in sources {
             let mut frames = PICTURES.map(|picture| Frame { pts_us: 0, stereo: StereoLayout::Mono, pixels: pixels(picture) });
-            let mut light = spec.make();
-            let mut steps = StepTimes::default();
-            let mut most_lights = 0;
-            // Every picture thrice, so that lights are born, followed, lost and found again; time goes on, or each frame would begin a stream.
-            for i in 0..3 * frames.len() {
-                let frame = &mut frames[i / 3];
-                frame.pts_us = i as u64 * 33_333;
-                let (allocations, lights) = allocations_of(|| light.estimate(&*frame, &mut steps).map(|estimate| estimate.lights.len()));
-                most_lights = lights.unwrap().max(most_lights);
-                // The first frame is black: what the later ones hold may not cost an allocation either.
-                assert!(i == 0 || allocations == 0, "{spec}, {source}, frame {i}: {allocations} allocations");
+            let following = SHOWN.iter().flat_map(|(picture, frames)| std::iter::repeat_n(*picture, *frames)).zip(1u64..);
+            let following: Vec<_> = following.map(|(picture, frame)| (picture, frame * 33_333)).collect();
+            // In time, and as stills that know nothing of each other.
+            for shown in [following, (0..PICTURES.len()).map(|picture| (picture, 0)).collect()] {
+                let lives = estimate_all(spec, source, &mut frames, &shown);
+                assert!(matches!(spec.name(), "iorns" | "sh") || lives.most > 0, "{spec}, {source}: frames without lights prove nothing");
+                // The default method follows lights: frames in which none comes or goes, and none at once, prove nothing of it.
+                let changes = lives.births >= 4 && lives.deaths >= 3 && lives.replaced > 0;
+                assert!(spec != MethodSpec::default() || shown[1].1 == 0 || changes, "{source}: {lives:?}");
             }
-            assert!(matches!(spec.name(), "iorns" | "sh") || most_lights > 0, "{spec}, {source}: frames without lights prove nothing");
         }
     }
+}
+
+/// What became of the lights.
+#[derive(Debug, Default)]
+struct Lives {
+    /// Most lights of a frame.
+    most: usize,
+    births: usize,
+    deaths: usize,
+    /// Frames in which all lights there were gave way to others, as in a cut.
+    replaced: usize,
+}
+
+/// Estimates the frames in this order and at these times, and checks that all but the first do without allocating.
+fn estimate_all(spec: MethodSpec, source: &str, frames: &mut [Frame], shown: &[(usize, u64)]) -> Lives {
+    let (mut light, mut steps, mut lives) = (spec.make(), StepTimes::default(), Lives::default());
+    let mut before: Vec<u32> = Vec::new();
+    for (i, (picture, pts_us)) in shown.iter().enumerate() {
+        let frame = &mut frames[*picture];
+        frame.pts_us = *pts_us;
+        let mut ids = [0; MAX_LIGHTS];
+        let (allocations, lights) = allocations_of(|| {
+            let estimate = light.estimate(frame, &mut steps).unwrap();
+            ids.iter_mut().zip(&estimate.lights).for_each(|(id, light)| *id = light.id);
+            estimate.lights.len()
+        });
+        // The first frame is black: what the later ones hold may not cost an allocation either.
+        assert!(i == 0 || allocations == 0, "{spec}, {source}, frame {i} at {pts_us} µs: {allocations} allocations");
+        let now = ids[..lights].to_vec();
+        let births = now.iter().filter(|id| !before.contains(id)).count();
+        lives.most = lives.most.max(lights);
+        lives.births += births;
+        lives.deaths += before.iter().filter(|id| !now.contains(id)).count();
+        lives.replaced += usize::from(!before.is_empty() && births > 0 && births == now.len());
+        before = now;
+    }
+    lives
 }
 
 #[test]

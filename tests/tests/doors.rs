@@ -2,7 +2,7 @@
 
 use std::net::UdpSocket;
 
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result, ensure};
 use mr360_tests::probe::LONG;
 use mr360_tests::process::{Program, Signal};
 use mr360_tests::sandbox::Sandbox;
@@ -18,6 +18,20 @@ fn a_host_that_ends_in_order_tells_its_viewers() -> Result<()> {
     server.program.finish(LONG)?;
     viewer.wait_for_text("the host has ended the broadcast", LONG)?;
     viewer.finish(LONG)
+}
+
+#[test]
+fn a_host_that_ends_in_order_tells_its_relay() -> Result<()> {
+    let sandbox = Sandbox::new()?;
+    // Any server takes a publisher's connection, and says why it went.
+    let mut relay = sandbox.serve(CARD, &["--listen", "127.0.0.1:0", "--room", "other"])?;
+    let (endpoint, fingerprint) = relay.join_url.split_once('#').context("a join URL has a fragment")?;
+    let sha256 = fingerprint.split(',').find(|part| part.starts_with("sha256=")).context("the URL names the certificate")?;
+    let mut server = sandbox.serve(CARD, &["--publish", &format!("{endpoint}#{sha256}")])?;
+    relay.program.mark();
+    server.program.finish(LONG)?;
+    relay.program.wait_for_text("its host has ended the broadcast", LONG)?;
+    relay.program.finish(LONG)
 }
 
 #[test]

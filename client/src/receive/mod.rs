@@ -19,7 +19,7 @@ use mr360_protocol::asset::AssetId;
 use mr360_protocol::clock::ClientTime;
 use mr360_protocol::join::JoinUrl;
 use mr360_protocol::light::LightFrame;
-use mr360_protocol::scene::{Intent, SceneMessage};
+use mr360_protocol::scene::SceneMessage;
 use mr360_protocol::transport::{self, DialError, Dialer, LinkEvent, Roles};
 use tokio::sync::{mpsc, watch};
 
@@ -30,8 +30,6 @@ use crate::sync::ClientClock;
 
 /// Events waiting to be taken: three seconds of a busy broadcast.
 const EVENT_QUEUE: usize = 512;
-/// Wishes waiting to be sent: a drag of several seconds.
-const INTENT_QUEUE: usize = 512;
 
 /// What the network brings.
 #[derive(Debug)]
@@ -127,7 +125,7 @@ pub struct Config {
 /// The running network side.
 pub struct Receiver {
     runtime: Option<tokio::runtime::Runtime>,
-    intents: mpsc::Sender<Intent>,
+    user: User,
 }
 
 impl Receiver {
@@ -138,22 +136,22 @@ impl Receiver {
     pub fn start(config: Config, clock: ClientClock) -> anyhow::Result<(Self, mpsc::Receiver<Event>)> {
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).thread_name("receive").enable_all().build()?;
         let (events, receiver) = mpsc::channel(EVENT_QUEUE);
-        let (intents, intent_receiver) = mpsc::channel(INTENT_QUEUE);
+        let (user, wishes) = user::user(user::count_from(std::time::SystemTime::now()));
         let guard = runtime.enter();
         let dialer = Dialer::new(config.join.endpoint.clone(), config.join.fingerprint)?;
         let (broadcasts, ours) = (transport::origin(), transport::origin());
         drop(guard);
         let roles = Roles { publish: Some(ours.consume()), subscribe: Some(broadcasts.clone()) };
         let (following, followed) = watch::channel(0);
-        runtime.spawn(user::publish(ours, config.join.room.clone(), config.user.clone(), intent_receiver, followed));
+        runtime.spawn(user::publish(ours, config.join.room.clone(), config.user.clone(), wishes, followed));
         runtime.spawn(run(config, dialer, roles, broadcasts, events, following, clock));
-        Ok((Self { runtime: Some(runtime), intents }, receiver))
+        Ok((Self { runtime: Some(runtime), user }, receiver))
     }
 
     /// A handle that sends the user's wishes.
     #[must_use]
     pub fn user(&self) -> User {
-        User::new(self.intents.clone())
+        self.user.clone()
     }
 }
 
@@ -187,23 +185,4 @@ async fn run(
     };
     // Nobody is left to be told when this fails.
     let _ = events.send(Event::Ended(end)).await;
-}
-
-#[cfg(test)]
-mod tests {
-    use mr360_protocol::scene::{Action, ObjectId};
-
-    use super::*;
-
-    #[test]
-    fn wishes_that_nobody_takes_do_not_pile_up() {
-        let (intents, mut waiting) = mpsc::channel(2);
-        let user = User::new(intents);
-        (0..4).for_each(|object| user.wish(Action::Grab(ObjectId(object))));
-        let taken = [waiting.try_recv(), waiting.try_recv()].map(|intent| intent.unwrap().action);
-        assert_eq!(taken, [0, 1].map(|object| Action::Grab(ObjectId(object))));
-        assert!(waiting.try_recv().is_err());
-        user.wish(Action::Release(ObjectId(0)));
-        assert_eq!(waiting.try_recv().unwrap().action, Action::Release(ObjectId(0)));
-    }
 }

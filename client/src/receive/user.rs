@@ -1,39 +1,135 @@
 //! This user's own broadcast: wishes for the scene.
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::SystemTime;
 
 use mr360_protocol::codec::Message;
-use mr360_protocol::scene::{Action, Intent};
+use mr360_protocol::scene::{Action, Intent, ObjectId};
 use mr360_protocol::track;
 use tokio::sync::{mpsc, watch};
 
 /// A group holds this many intents at most, far below the transport's 8192 frames; a drag that is longer goes on in the next.
 const INTENTS_PER_GROUP: usize = 4096;
 
+/// Wishes that wait to be sent, in the order of their sequence numbers. Of each object at most a release, a grab, a move and a release
+/// wait, so that however long nobody sends, none that takes hold or lets go is lost, and memory is bounded by the scene's objects.
+#[derive(Debug)]
+struct Queue {
+    /// Of the last wish.
+    sequence: u64,
+    /// Whether somebody sends; what is wished while nobody does is lost.
+    open: bool,
+    waiting: VecDeque<Intent>,
+}
+
+impl Queue {
+    /// Takes a wish, in place of those that wait and are overtaken by it.
+    fn push(&mut self, action: Action) {
+        self.sequence += 1;
+        if !self.open {
+            return;
+        }
+        let object = object(&action);
+        let mut of_object =
+            (0..self.waiting.len()).rev().filter(|i| self.waiting.get(*i).is_some_and(|w| self::object(&w.action) == object));
+        let (last, before) = (of_object.next(), of_object.next());
+        let waits = |index: Option<usize>| index.and_then(|index| self.waiting.get(index)).map(|waiting| &waiting.action);
+        let overtaken = match (&action, waits(last)) {
+            (Action::Move(..), Some(Action::Move(..))) | (Action::Grab(_), Some(Action::Grab(_))) => last,
+            (Action::Release(_), Some(Action::Release(_))) => last,
+            // A drag that waits whole goes on: let go of and taken hold of again it would be the same.
+            (Action::Grab(_), Some(Action::Release(_))) if matches!(waits(before), Some(Action::Grab(_) | Action::Move(..))) => {
+                last.into_iter().for_each(|index| drop(self.waiting.remove(index)));
+                return;
+            }
+            _ => None,
+        };
+        overtaken.into_iter().for_each(|index| drop(self.waiting.remove(index)));
+        // At the end, where its number belongs: a lower one that comes later is dropped by the server.
+        self.waiting.push_back(Intent { sequence: self.sequence, action });
+    }
+}
+
+fn object(action: &Action) -> ObjectId {
+    match action {
+        Action::Grab(object) | Action::Move(object, _) | Action::Release(object) => *object,
+    }
+}
+
 /// Sends wishes; the server decides.
 #[derive(Clone)]
 pub struct User {
-    intents: mpsc::Sender<Intent>,
-    sequence: Arc<AtomicU64>,
+    queue: Arc<Mutex<Queue>>,
+    /// Holds one ring at most: that something waits need not be said twice.
+    bell: mpsc::Sender<()>,
+}
+
+/// The other end of [`User`].
+pub(super) struct Wishes {
+    queue: Arc<Mutex<Queue>>,
+    bell: mpsc::Receiver<()>,
+}
+
+/// A user whose first wish has the number after `start`, and the wishes.
+pub(super) fn user(start: u64) -> (User, Wishes) {
+    let queue = Arc::new(Mutex::new(Queue { sequence: start, open: false, waiting: VecDeque::new() }));
+    let (ring, bell) = mpsc::channel(1);
+    (User { queue: Arc::clone(&queue), bell: ring }, Wishes { queue, bell })
+}
+
+/// Where a run that begins now counts from, the time of day in microseconds: above all that an earlier run under the same name can have
+/// counted to.
+pub(super) fn count_from(now: SystemTime) -> u64 {
+    let since = now.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    u64::try_from(since.as_micros()).unwrap_or_default()
+}
+
+fn lock(queue: &Mutex<Queue>) -> MutexGuard<'_, Queue> {
+    // A panic elsewhere leaves the queue whole: it is changed by single calls.
+    queue.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl User {
-    pub(super) fn new(intents: mpsc::Sender<Intent>) -> Self {
-        // The time of day: above all that an earlier run under the same name can have counted to.
-        let start = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
-        let start = u64::try_from(start.as_micros()).unwrap_or_default();
-        Self { intents, sequence: Arc::new(AtomicU64::new(start)) }
+    /// Sends one wish. Never blocks. While wishes wait, a move takes the place of an earlier one of the same object; while no broadcast is
+    /// followed they are lost.
+    pub fn wish(&self, action: Action) {
+        lock(&self.queue).push(action);
+        // Full: it has rung. Closed: nobody sends any more, and that end was reported.
+        let _ = self.bell.try_send(());
+    }
+}
+
+impl Wishes {
+    /// Takes wishes from now on, and none of before.
+    fn open(&self) {
+        let mut queue = lock(&self.queue);
+        queue.waiting.clear();
+        queue.open = true;
     }
 
-    /// Sends one wish. Never blocks; while no broadcast is followed wishes are lost.
-    pub fn wish(&self, action: Action) {
-        let sequence = self.sequence.fetch_add(1, Ordering::Relaxed) + 1;
-        // A receiver that has ended takes no more wishes, and its end was reported.
-        if let Err(mpsc::error::TrySendError::Full(lost)) = self.intents.try_send(Intent { sequence, action }) {
-            tracing::debug!(?lost, "too many wishes wait; the newest is dropped");
+    /// Lets wishes go from now on.
+    fn close(&self) {
+        let mut queue = lock(&self.queue);
+        queue.waiting.clear();
+        queue.open = false;
+    }
+
+    /// The next wish; none when there is nobody left who wishes. A future that is dropped takes nothing with it.
+    async fn next(&mut self) -> Option<Intent> {
+        loop {
+            let next = lock(&self.queue).waiting.pop_front();
+            if next.is_some() {
+                return next;
+            }
+            self.bell.recv().await?;
         }
+    }
+}
+
+impl Drop for Wishes {
+    fn drop(&mut self) {
+        self.close();
     }
 }
 
@@ -46,18 +142,21 @@ pub(super) async fn publish(
     origin: moq_net::origin::Producer,
     room: String,
     user: String,
-    mut intents: mpsc::Receiver<Intent>,
+    mut wishes: Wishes,
     mut followed: watch::Receiver<Followed>,
 ) {
     let path = track::user_path(&room, &user);
     loop {
         let Ok(current) = followed.wait_for(|followed| *followed > 0).await.map(|followed| *followed) else { return };
-        while intents.try_recv().is_ok() {}
+        wishes.open();
         let result = tokio::select! {
-            result = publish_drags(&origin, &path, &mut intents) => result,
+            result = publish_drags(&origin, &path, &mut wishes) => result,
             // An error: nothing will be followed any more.
             changed = followed.wait_for(|followed| *followed != current) => match changed {
-                Ok(_) => continue,
+                Ok(_) => {
+                    wishes.close();
+                    continue;
+                }
                 Err(_) => return,
             },
         };
@@ -65,6 +164,7 @@ pub(super) async fn publish(
             Ok(()) => return,
             Err(error) => tracing::warn!(%error, "wishes for the scene cannot be sent to this broadcast"),
         }
+        wishes.close();
         if followed.wait_for(|followed| *followed != current).await.is_err() {
             return;
         }
@@ -73,13 +173,13 @@ pub(super) async fn publish(
 
 /// Until there is nobody left who wishes. A group is a drag: it ends with the release, and the newest holds nothing that is over once the
 /// next has begun.
-async fn publish_drags(origin: &moq_net::origin::Producer, path: &str, intents: &mut mpsc::Receiver<Intent>) -> anyhow::Result<()> {
+async fn publish_drags(origin: &moq_net::origin::Producer, path: &str, wishes: &mut Wishes) -> anyhow::Result<()> {
     let broadcast = origin.create_broadcast(path)?;
     let track = broadcast.create_track(track::INTENT, track::scene_info())?;
     broadcast.announce(moq_net::origin::Route::default())?;
     let mut group: Option<moq_net::group::Producer> = None;
     let mut written = 0;
-    while let Some(intent) = intents.recv().await {
+    while let Some(intent) = wishes.next().await {
         let mut drag = match group.take() {
             Some(drag) => drag,
             None => track.append_group()?,
@@ -99,7 +199,7 @@ async fn publish_drags(origin: &moq_net::origin::Producer, path: &str, intents: 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use mr360_protocol::scene::ObjectId;
+    use mr360_protocol::scene::Transform;
     use mr360_protocol::transport;
 
     async fn read(group: &mut moq_net::group::Consumer) -> Option<Action> {
@@ -110,10 +210,9 @@ mod tests {
     #[tokio::test]
     async fn a_group_is_a_drag_and_a_new_broadcast_knows_nothing_of_the_old() {
         let origin = transport::origin();
-        let (sender, intents) = mpsc::channel(8);
+        let (user, wishes) = user(0);
         let (followed, is_followed) = watch::channel(1);
-        let user = User::new(sender);
-        let publishing = tokio::spawn(publish(origin.clone(), "live".to_owned(), "ann".to_owned(), intents, is_followed));
+        let publishing = tokio::spawn(publish(origin.clone(), "live".to_owned(), "ann".to_owned(), wishes, is_followed));
         let path = track::user_path("live", "ann");
         let first = origin.consume().routed_broadcast(&path).await.unwrap();
         let mut track = first.track(track::INTENT).unwrap().subscribe(track::intent_subscription()).await.unwrap();
@@ -138,16 +237,65 @@ mod tests {
         publishing.abort();
     }
 
+    fn waiting(wishes: &Wishes) -> Vec<Intent> {
+        lock(&wishes.queue).waiting.iter().cloned().collect()
+    }
+
+    fn at(x: f32) -> Transform {
+        Transform { position: glam::Vec3::new(x, 0.0, 0.0), ..Transform::default() }
+    }
+
+    #[test]
+    fn a_drag_that_nobody_sends_keeps_its_grab_its_last_place_and_its_release() {
+        let (user, wishes) = user(0);
+        wishes.open();
+        let (object, other) = (ObjectId(1), ObjectId(2));
+        user.wish(Action::Grab(object));
+        for step in 0..5000u16 {
+            user.wish(Action::Move(object, at(step.into())));
+            user.wish(Action::Move(other, at(-f32::from(step))));
+        }
+        user.wish(Action::Release(object));
+        let actions: Vec<_> = waiting(&wishes).into_iter().map(|intent| intent.action).collect();
+        let expected = [Action::Grab(object), Action::Move(object, at(4999.0)), Action::Move(other, at(-4999.0)), Action::Release(object)];
+        assert_eq!(actions, expected);
+        assert!(waiting(&wishes).is_sorted_by(|a, b| a.sequence < b.sequence));
+    }
+
+    #[test]
+    fn what_waits_is_bounded_and_ends_as_was_wished() {
+        let (user, wishes) = user(0);
+        wishes.open();
+        let object = ObjectId(1);
+        user.wish(Action::Release(object));
+        for step in 0..1000u16 {
+            user.wish(Action::Grab(object));
+            user.wish(Action::Move(object, at(step.into())));
+            user.wish(Action::Release(object));
+        }
+        let actions: Vec<_> = waiting(&wishes).into_iter().map(|intent| intent.action).collect();
+        let expected = [Action::Release(object), Action::Grab(object), Action::Move(object, at(999.0)), Action::Release(object)];
+        assert_eq!(actions, expected);
+        // Nobody sends any more.
+        drop(wishes);
+        user.wish(Action::Grab(object));
+        assert!(lock(&user.queue).waiting.is_empty());
+    }
+
     #[test]
     fn a_later_run_counts_on_from_an_earlier_one() {
-        let sequence = || {
-            let (sender, mut intents) = mpsc::channel(8);
-            let user = User::new(sender);
-            (0..3).for_each(|_| user.wish(Action::Release(ObjectId(1))));
-            std::iter::from_fn(|| intents.try_recv().ok()).map(|intent| intent.sequence).collect::<Vec<_>>()
+        let began = SystemTime::UNIX_EPOCH + std::time::Duration::from_secs(1_700_000_000);
+        let sequences = |began: SystemTime, wishes: u32| {
+            let (user, waiting_wishes) = user(count_from(began));
+            waiting_wishes.open();
+            (0..wishes).for_each(|object| user.wish(Action::Release(ObjectId(object))));
+            waiting(&waiting_wishes).iter().map(|intent| intent.sequence).collect::<Vec<_>>()
         };
-        let start = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap().as_micros() as u64;
-        let counted = sequence();
-        assert!(counted.is_sorted_by(|a, b| a < b) && counted[0] > start, "{counted:?} after {start}");
+        let earlier = sequences(began, 1000);
+        assert_eq!((earlier[0], earlier.len()), (1_700_000_000_000_001, 1000));
+        assert!(earlier.is_sorted_by(|a, b| a < b));
+        // It wished a thousand times in a second.
+        let later = sequences(began + std::time::Duration::from_secs(1), 3);
+        assert!(later[0] > earlier[999], "{later:?}");
     }
 }

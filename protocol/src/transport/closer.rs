@@ -32,20 +32,27 @@ impl Closer {
     }
 }
 
+/// Whether a session was ended by a host with [`HOST_ENDED`].
+pub(super) fn is_in_order(closed: &moq_net::Error) -> bool {
+    matches!(closed.session(), Some(moq_net::SessionError::App(HOST_ENDED)))
+}
+
+/// Resolves once the end is asked for.
+pub(super) async fn asked(ending: &mut watch::Receiver<bool>) {
+    // An error: nobody is left who could serve a session.
+    let _ = ending.wait_for(|ending| *ending).await;
+}
+
 /// Runs a session to its end, or until the host asks for it.
 pub(super) async fn run(
     session: &moq_net::Session,
     driver: moq_net::Driver<web_transport_quinn::Session>,
-    mut ending: watch::Receiver<bool>,
+    ending: &mut watch::Receiver<bool>,
 ) -> moq_net::Error {
     let mut driving = std::pin::pin!(moq_net::time::run(driver));
-    let asked = async {
-        // An error: nobody is left who could serve the session.
-        let _ = ending.wait_for(|ending| *ending).await;
-    };
     tokio::select! {
         end = &mut driving => return end,
-        () = asked => session.abort(moq_net::Error::Session(moq_net::SessionError::App(HOST_ENDED))),
+        () = asked(ending) => session.abort(moq_net::Error::Session(moq_net::SessionError::App(HOST_ENDED))),
     }
     driving.await
 }

@@ -13,7 +13,6 @@ use web_transport_quinn::proto::ConnectRequest;
 use crate::join::without_secrets;
 
 use super::certificate::fingerprint;
-use super::closer::HOST_ENDED;
 use super::{ALPN_H3, Closer, Roles, closer, crypto_provider, subprotocols, transport_config};
 
 /// First wait before a new try; doubles up to [`MAX_BACKOFF`].
@@ -72,6 +71,12 @@ pub enum DialError {
     /// The host ended the session in order.
     #[error("{url}: the host has ended the broadcast")]
     HostEnded {
+        /// The endpoint.
+        url: String,
+    },
+    /// This side asked for the end, see [`Dialer::closer`].
+    #[error("{url}: the connection was ended by this program")]
+    Closed {
         /// The endpoint.
         url: String,
     },
@@ -138,33 +143,48 @@ impl Dialer {
         Ok(Self { client, socket, endpoint, pinned: expected.is_some(), ending: watch::Sender::new(false) })
     }
 
-    /// Ends the connection, whichever it is then.
+    /// Ends the connection, whichever it is then, and [`Dialer::run`] with it.
     #[must_use]
     pub fn closer(&self) -> Closer {
         Closer::new(&self.socket, &self.ending)
     }
 
     /// Connects, serves the roles until the connection is lost, and connects again with backoff, for as long
-    /// as the future is polled. Ends only with what no retry can mend: [`DialError::WrongFingerprint`], [`DialError::Untrusted`], and,
-    /// as long as it was never connected, [`DialError::UnknownHost`].
+    /// as the future is polled. Ends with [`DialError::Closed`] when its [closer](Self::closer) asks for it, whatever it
+    /// is about then, and else only with what no retry can mend: [`DialError::WrongFingerprint`], [`DialError::Untrusted`], and, as long as
+    /// it was never connected, [`DialError::UnknownHost`].
     pub async fn run(self, roles: Roles, mut event: impl FnMut(LinkEvent) + Send) -> DialError {
         let mut backoff = MIN_BACKOFF;
         let mut connected_once = false;
+        let mut ending = self.ending.subscribe();
         loop {
-            let down = match self.connect(&roles).await {
+            let connected = tokio::select! {
+                // First of all, so that no connection is begun that nobody would end.
+                biased;
+                () = closer::asked(&mut ending) => return self.closed(),
+                connected = self.connect(&roles) => connected,
+            };
+            let down = match connected {
                 Ok((session, driver)) => {
                     (backoff, connected_once) = (MIN_BACKOFF, true);
                     event(LinkEvent::Up(session.version().to_string()));
-                    let end = closer::run(&session, driver, self.ending.subscribe()).await;
+                    let end = closer::run(&session, driver, &mut ending).await;
                     // The driver may have failed on a stream; why the connection closed is known to the session.
-                    LinkEvent::Down { fault: self.end(&end, &session.closed().await), retry_in: backoff }
+                    let closed = session.closed().await;
+                    if *ending.borrow() {
+                        return self.closed();
+                    }
+                    LinkEvent::Down { fault: self.end(&end, &closed), retry_in: backoff }
                 }
                 Err(fault @ (DialError::WrongFingerprint { .. } | DialError::Untrusted { .. })) => return fault,
                 Err(fault @ DialError::UnknownHost { .. }) if !connected_once => return fault,
                 Err(fault) => LinkEvent::Failed { fault, retry_in: backoff },
             };
             event(down);
-            tokio::time::sleep(backoff).await;
+            tokio::select! {
+                () = closer::asked(&mut ending) => return self.closed(),
+                () = tokio::time::sleep(backoff) => {}
+            }
             backoff = (backoff * 2).min(MAX_BACKOFF);
         }
     }
@@ -191,11 +211,12 @@ impl Dialer {
         DialError::Connect { url: self.url(), fault }
     }
 
+    fn closed(&self) -> DialError {
+        DialError::Closed { url: self.url() }
+    }
+
     fn end(&self, end: &moq_net::Error, closed: &moq_net::Error) -> DialError {
-        match closed.session() {
-            Some(moq_net::SessionError::App(HOST_ENDED)) => DialError::HostEnded { url: self.url() },
-            _ => self.fault(end.to_string()),
-        }
+        if closer::is_in_order(closed) { DialError::HostEnded { url: self.url() } } else { self.fault(end.to_string()) }
     }
 
     fn connect_fault(&self, error: &web_transport_quinn::ClientError) -> DialError {

@@ -19,7 +19,7 @@ const HANDSHAKE_TIMEOUT: std::time::Duration = std::time::Duration::from_secs(10
 
 /// A bound UDP port.
 pub struct Listener {
-    endpoint: quinn::Endpoint,
+    pub(super) endpoint: quinn::Endpoint,
     address: SocketAddr,
     max_sessions: usize,
     ending: watch::Sender<bool>,
@@ -95,17 +95,20 @@ impl Listener {
                 incoming.refuse();
                 continue;
             };
-            let (roles, ending) = (roles.clone(), self.ending.subscribe());
+            let (roles, mut ending) = (roles.clone(), self.ending.subscribe());
             tokio::spawn(async move {
                 let handshake = tokio::time::timeout(HANDSHAKE_TIMEOUT, accept(incoming, roles)).await;
                 drop(handshake_permit);
                 match handshake {
                     Ok(Ok((session, driver))) => {
                         tracing::info!(%peer, "viewer connected");
-                        let end = closer::run(&session, driver, ending).await;
-                        // Dropped earlier, the handle would have asked for the session's end.
-                        drop(session);
-                        tracing::info!(%peer, %end, "viewer gone");
+                        let end = closer::run(&session, driver, &mut ending).await;
+                        // The driver may have failed on a stream; why the connection closed is known to the session.
+                        if closer::is_in_order(&session.closed().await) {
+                            tracing::info!(%peer, "peer gone: its host has ended the broadcast");
+                        } else {
+                            tracing::info!(%peer, %end, "viewer gone");
+                        }
                     }
                     Ok(Err(fault)) => tracing::warn!(%peer, fault, "handshake failed"),
                     Err(_) => tracing::warn!(%peer, "handshake timed out"),
@@ -118,7 +121,7 @@ impl Listener {
 
 type Session = (moq_net::Session, moq_net::Driver<web_transport_quinn::Session>);
 
-async fn accept(incoming: quinn::Incoming, roles: Roles) -> Result<Session, String> {
+pub(super) async fn accept(incoming: quinn::Incoming, roles: Roles) -> Result<Session, String> {
     let connection = incoming.await.map_err(|error| error.to_string())?;
     let request = Request::accept(connection).await.map_err(|error| error.to_string())?;
     let ours = subprotocols();

@@ -98,6 +98,46 @@ async fn a_host_that_ends_in_order_says_so() {
 }
 
 #[tokio::test]
+async fn a_dialer_that_is_closed_tells_its_peer_and_returns() {
+    let folder = tempfile::tempdir().unwrap();
+    let certificate = Certificate::load_or_make(folder.path()).unwrap();
+    let fingerprint = certificate.fingerprint();
+    let listener = Listener::bind("127.0.0.1:0".parse().unwrap(), certificate).unwrap();
+    let dialer = Dialer::new(endpoint(listener.address()), fingerprint).unwrap();
+    let closer = dialer.closer();
+    let (link, mut events) = dial(dialer, Roles { publish: Some(origin().consume()), subscribe: None });
+    let incoming = listener.endpoint.accept().await.unwrap();
+    let (session, driver) = listener::accept(incoming, Roles { publish: None, subscribe: Some(origin()) }).await.unwrap();
+    let driving = tokio::spawn(moq_net::time::run(driver));
+    assert!(matches!(events.recv().await, Some(LinkEvent::Up(_))));
+    closer.close().await;
+    let told = session.closed().await;
+    assert!(closer::is_in_order(&told), "{told}");
+    let end = link.await.unwrap();
+    assert!(matches!(end, DialError::Closed { .. }), "{end}");
+    assert!(events.recv().await.is_none(), "an end that was asked for is no loss");
+    driving.abort();
+}
+
+#[tokio::test]
+async fn a_dialer_that_is_closed_before_or_between_connections_returns() {
+    let silent = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
+    let dialer = Dialer::new(endpoint(silent.local_addr().unwrap()), Some([0; 32])).unwrap();
+    let closer = dialer.closer();
+    // Nothing was sent yet when it is closed.
+    let (link, _events) = dial(dialer, Roles::default());
+    closer.close().await;
+    assert!(matches!(link.await.unwrap(), DialError::Closed { .. }));
+    // Between two tries.
+    let dialer = Dialer::new(endpoint(silent.local_addr().unwrap()), Some([0; 32])).unwrap();
+    let closer = dialer.closer();
+    let (link, mut events) = dial(dialer, Roles::default());
+    assert!(matches!(events.recv().await, Some(LinkEvent::Failed { .. })));
+    closer.close().await;
+    assert!(matches!(link.await.unwrap(), DialError::Closed { .. }));
+}
+
+#[tokio::test]
 async fn a_full_server_refuses_until_a_viewer_leaves() {
     let served = serve_at_most(1);
     let viewer = || dial(Dialer::new(endpoint(served.address), Some(served.fingerprint)).unwrap(), Roles::default());

@@ -2,7 +2,8 @@
 //!
 //! A camera that shows the ground well clips the sun to display white and loses most of its light. The ground has
 //! seen it: lit by irradiance E, ground of albedo ρ sends up radiance ρE/π. Whatever E exceeds what the frame's upper
-//! hemisphere explains is put onto its clipped texels, in proportion to what they hold. The albedo is assumed, so the
+//! hemisphere explains is put onto its clipped texels, in proportion to what they hold: as far as there are enough of them, and no more
+//! than the sun could give. The albedo is assumed, so the
 //! result is an estimate; true HDR frames and frames without clipped texels are left as they are.
 
 use glam::Vec3;
@@ -11,9 +12,17 @@ use super::panorama::Panorama;
 
 /// Albedo of the ground: soil, grass, paving and floors lie between 0.1 and 0.5, most of them about here.
 const GROUND_ALBEDO: f64 = 0.3;
-/// A texel counts as clipped from this share of display white's lifted luminance on. Under the highlights' lift
-/// that is code 0.96: the blocks that a texel averages need not all be clipped.
-const CLIPPED_SHARE: f32 = 0.7;
+/// A texel is clipped by a degree that rises from the first to the second of these shares of display white's lifted luminance. Under
+/// the highlights' lift these are the codes 0.95 and 0.98: the blocks that a texel averages need not all be clipped. Seven 8-bit steps lie
+/// between them, so that grain moves the degree of a texel by a fraction.
+const CLIPPED_SHARE: (f32, f32) = (0.6, 0.8);
+/// From this clipped solid angle on, all that is missing is given to it: sixteen texels of the default method's panorama, a disc of 1.6°
+/// radius. A sun that a camera clips takes its glare with it and covers several degrees; a texel or two are as likely glints and
+/// sharpened edges that are gone in the next frame.
+const TRUSTED_SR: f64 = 2.4e-3;
+/// The sun gives a surface that faces it at most this many times what level ground gets from sun and sky together. Under clear skies the
+/// ratio is 1 with the sun overhead and 4 with the sun at 5°, where it is greatest; below, the beam is lost in the air.
+const MOST_BEAM: f64 = 4.0;
 /// The sky is never made more than this many times as bright as it was: a bright floor in a dim room is a bright floor.
 const MOST_GAIN: f64 = 5.0;
 /// The ground is what lies at least this far below the horizon, as the sine of the angle: nearer to it stand houses and trees.
@@ -24,25 +33,58 @@ const GROUND_SINE: f32 = 0.25;
 struct Balance {
     /// Luminous irradiance on level ground.
     irradiance: f64,
-    /// Part of it that clipped texels give.
+    /// Part of it that clipped texels give, each by its degree.
     clipped: f64,
+    /// The same on surfaces that face them.
+    facing: f64,
+    /// Solid angle of the clipped texels.
+    clipped_sr: f64,
     /// Luminance of the ground, and the weight of its mean.
     ground: f64,
     ground_weight: f64,
 }
 
-/// Brightens the clipped texels of the upper hemisphere so that its irradiance explains the ground.
+/// Brightens the clipped texels of the upper hemisphere so that its irradiance explains the ground: wholly once there are enough of them,
+/// and never beyond what the sun could give, spread over all of them. Continuous in every texel: none makes a step by being clipped or not.
 /// `white` is the lifted luminance of display white, `luma` the luminance weights.
 pub(super) fn recover(panorama: &mut Panorama, white: f32, luma: Vec3) {
-    let threshold = CLIPPED_SHARE * white;
-    let balance = weigh(panorama, threshold, luma);
+    let ramp = Ramp::new(white);
+    let balance = weigh(panorama, ramp, luma);
     if balance.clipped <= 0.0 || balance.ground_weight <= 0.0 {
         return;
     }
-    let explained = std::f64::consts::PI * (balance.ground / balance.ground_weight) / GROUND_ALBEDO;
-    let missing = explained.min(MOST_GAIN * balance.irradiance) - balance.irradiance;
-    if missing > 0.0 {
-        brighten(panorama, threshold, luma, (1.0 + missing / balance.clipped) as f32);
+    let explained = (std::f64::consts::PI * (balance.ground / balance.ground_weight) / GROUND_ALBEDO).min(MOST_GAIN * balance.irradiance);
+    let missing = (explained - balance.irradiance) * smooth((balance.clipped_sr / TRUSTED_SR).min(1.0));
+    let gain = (1.0 + missing / balance.clipped).min(MOST_BEAM * explained / balance.facing);
+    if gain > 1.0 {
+        brighten(panorama, ramp, luma, gain as f32);
+    }
+}
+
+/// Rises from 0 to 1 with `t`, without a kink at either end.
+fn smooth(t: f64) -> f64 {
+    t * t * (3.0 - 2.0 * t)
+}
+
+/// By how much a texel is clipped.
+#[derive(Debug, Clone, Copy)]
+struct Ramp {
+    /// Luminance from which on it is.
+    first: f32,
+    /// One over the luminance from there to where it is wholly.
+    inverse_width: f32,
+}
+
+impl Ramp {
+    fn new(white: f32) -> Self {
+        let (first, last) = CLIPPED_SHARE;
+        Self { first: first * white, inverse_width: 1.0 / ((last - first) * white) }
+    }
+
+    /// In [0, 1].
+    fn degree(self, luminance: f32) -> f32 {
+        let t = ((luminance - self.first) * self.inverse_width).clamp(0.0, 1.0);
+        t * t * (3.0 - 2.0 * t)
     }
 }
 
@@ -51,19 +93,24 @@ fn luminance(panorama: &Panorama, row: usize, luma: Vec3) -> impl Iterator<Item 
     red.iter().zip(green).zip(blue).map(move |((r, g), b)| luma.x * r + luma.y * g + luma.z * b)
 }
 
-fn weigh(panorama: &Panorama, threshold: f32, luma: Vec3) -> Balance {
+fn weigh(panorama: &Panorama, ramp: Ramp, luma: Vec3) -> Balance {
     let mut balance = Balance::default();
     for row in 0..panorama.size.height as usize {
         let sine = panorama.geometry.sin_cos_latitude[row].0;
-        let weight = f64::from(panorama.geometry.solid_angle_sr[row] * sine.abs());
+        let texel_sr = f64::from(panorama.geometry.solid_angle_sr[row]);
+        let weight = texel_sr * f64::from(sine.abs());
         if sine > 0.0 {
-            let (mut all, mut clipped) = (0.0f32, 0.0f32);
+            let (mut all, mut clipped, mut count) = (0.0f32, 0.0f32, 0.0f32);
             for y in luminance(panorama, row, luma) {
+                let degree = ramp.degree(y);
                 all += y;
-                clipped += if y >= threshold { y } else { 0.0 };
+                clipped += degree * y;
+                count += degree;
             }
             balance.irradiance += f64::from(all) * weight;
             balance.clipped += f64::from(clipped) * weight;
+            balance.facing += f64::from(clipped) * texel_sr;
+            balance.clipped_sr += f64::from(count) * texel_sr;
         } else if sine <= -GROUND_SINE {
             balance.ground += luminance(panorama, row, luma).map(f64::from).sum::<f64>() * weight;
             balance.ground_weight += weight * f64::from(panorama.size.width);
@@ -72,13 +119,14 @@ fn weigh(panorama: &Panorama, threshold: f32, luma: Vec3) -> Balance {
     balance
 }
 
-fn brighten(panorama: &mut Panorama, threshold: f32, luma: Vec3, gain: f32) {
+fn brighten(panorama: &mut Panorama, ramp: Ramp, luma: Vec3, gain: f32) {
     let width = panorama.size.width as usize;
     let upper = panorama.geometry.sin_cos_latitude.iter().take_while(|(sine, _)| *sine > 0.0).count() * width;
     for texel in 0..upper {
         let radiance = panorama.radiance(texel);
-        if radiance.dot(luma) >= threshold {
-            panorama.set_radiance(texel, radiance * gain);
+        let degree = ramp.degree(radiance.dot(luma));
+        if degree > 0.0 {
+            panorama.set_radiance(texel, radiance * (1.0 + (gain - 1.0) * degree));
         }
     }
 }
@@ -139,6 +187,62 @@ mod tests {
         let at = |texel: usize| panorama.radiance(texel).x;
         assert!(at(clipped) > white && (at(nearly) / at(clipped) - 0.8).abs() < 1e-5);
         assert_eq!([at(bright), at(puddle), at(0)], [0.6 * white, white, 1.0]);
+    }
+
+    const SKY: f32 = 0.12;
+    const GROUND: f32 = 0.3;
+    const WHITE: f32 = 6.5;
+    /// Irradiance of the sky, by the texels' centres good to 1e-4, and what the ground explains, but for the limit.
+    const FROM_SKY: f64 = std::f64::consts::PI * SKY as f64;
+    const EXPLAINED: f64 = MOST_GAIN * FROM_SKY;
+
+    /// Irradiance of the upper hemisphere on level ground, and on surfaces that face each texel of `patch`, once this many texels of a row
+    /// are made that bright and the panorama recovered.
+    fn recovered(row: usize, texels: usize, luminance: f32) -> (f64, f64) {
+        let mut panorama = Panorama::new(Grid { width: 512, height: 256, supersample: 1 }, Lift::Linear);
+        for texel in 0..512 * 256 {
+            panorama.set_radiance(texel, Vec3::splat(if texel < 512 * 128 { SKY } else { GROUND }));
+        }
+        (0..texels).for_each(|column| panorama.set_radiance(row * 512 + column, Vec3::splat(luminance)));
+        recover(&mut panorama, WHITE, Vec3::splat(1.0 / 3.0));
+        let of_row = |row: usize| -> f64 {
+            let sum: f64 = panorama.row(0, row).iter().map(|y| f64::from(*y)).sum();
+            sum * f64::from(panorama.geometry.solid_angle_sr[row])
+        };
+        let up = (0..128).map(|row| of_row(row) * f64::from(panorama.geometry.sin_cos_latitude[row].0)).sum();
+        let patch: f64 = panorama.row(0, row)[..texels].iter().map(|y| f64::from(*y)).sum();
+        (up, patch * f64::from(panorama.geometry.solid_angle_sr[row]))
+    }
+
+    #[test]
+    fn a_texel_or_two_gain_little_and_a_sun_all_that_is_missing() {
+        // 40° up, where a texel is three quarters as wide as on the horizon.
+        let up: Vec<f64> = (0..64).map(|texels| recovered(70, texels, WHITE).0).collect();
+        assert!((up[0] / FROM_SKY - 1.0).abs() < 1e-3, "{}", up[0]);
+        assert!(up[1] / up[0] < 1.05 && up[2] / up[0] < 1.15, "{:?}", &up[..4]);
+        // The limit is five times what the frame shows, and clipped texels are part of that.
+        assert!(up[63] >= EXPLAINED && up[63] < 1.2 * EXPLAINED, "{}", up[63]);
+        // The ramp's steepest is 1.5, over 21 texels of this row.
+        assert!(up.windows(2).all(|pair| pair[1] >= pair[0] && pair[1] - pair[0] < 0.08 * EXPLAINED), "{up:?}");
+    }
+
+    #[test]
+    fn no_texel_makes_a_step_when_it_comes_to_be_clipped() {
+        let up: Vec<f64> = (0..=120).map(|i| recovered(70, 64, WHITE * (0.55 + 0.0025 * i as f32)).0).collect();
+        let steps = up.windows(2).map(|pair| pair[1] - pair[0]);
+        // A third of the degree's rise is enough of 64 texels: 27 steps, none more than three times as high as all alike.
+        assert!(steps.clone().all(|step| step >= 0.0 && step < 3.0 / 27.0 * EXPLAINED), "{:?}", steps.collect::<Vec<_>>());
+        assert!(up[120] > 4.0 * up[0], "{} {}", up[0], up[120]);
+    }
+
+    #[test]
+    fn a_low_light_is_given_no_more_than_the_sun_could_give() {
+        // 1.8° up, what reaches level ground is a thirtieth of what the light would have to have.
+        let (up, facing) = recovered(125, 64, WHITE);
+        assert!(facing < MOST_BEAM * 1.2 * EXPLAINED && up < 0.5 * EXPLAINED, "{up} {facing}");
+        // 40° up nothing is in the way.
+        let (up, facing) = recovered(70, 64, WHITE);
+        assert!(facing > 0.7 * EXPLAINED && up >= EXPLAINED, "{up} {facing}");
     }
 
     /// A clipped sun in an even sky over ground that shows what it really gave.

@@ -1,7 +1,7 @@
 //! Synthetic panoramas over time whose light is known: what methods are held against, in tests and on charts.
 //!
 //! Discs of even radiance stand in a textured sky over a dark textured ground, which gives a method that recovers clipped light from the
-//! ground nothing to recover. Frames are 256×128, sRGB in 8 bits with seeded grain, or linear where a bound must
+//! ground nothing to recover; one sequence has bright ground. Frames are 256×128, sRGB in 8 bits with seeded grain, or linear where a bound must
 //! not depend on clipping.
 
 use std::f32::consts::{PI, TAU};
@@ -301,6 +301,16 @@ pub fn clipped_share() -> Sequence {
     })
 }
 
+/// A lamp whose middle wavers about white over bright ground: now and then a pixel or two of it are clipped.
+#[must_use]
+pub fn clipped_speck() -> Sequence {
+    let sequence = Sequence::new("clipped speck", 4.0, |time| {
+        let radiance = Vec3::splat(0.92 + 0.07 * (TAU * 1.1 * time).sin());
+        Scene { ground: Vec3::splat(0.3), ..Scene::new(vec![Disc::at(40.0, 50.0, 1.0, radiance)]) }
+    });
+    Sequence { grain: 2.0, ..sequence }
+}
+
 /// A sky without a sun, coarse grain.
 #[must_use]
 pub fn overcast() -> Sequence {
@@ -351,6 +361,7 @@ pub fn all() -> Vec<Sequence> {
         merge_and_split(),
         crossing(),
         clipped_share(),
+        clipped_speck(),
         overcast(),
         shake(),
         faulty_frame(),

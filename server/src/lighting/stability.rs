@@ -102,15 +102,21 @@ fn least_residual(rows: &[Row]) -> f32 {
     rows.iter().map(least).fold(f32::INFINITY, f32::min)
 }
 
-fn assert_steady(rows: &[Row], events: usize, worst_deg: f32, step: f32) {
+/// What holds of every sequence with one sun.
+fn assert_sound(rows: &[Row], events: usize, worst_deg: f32) {
     assert!(rows.iter().all(|row| row.estimate.sh.iter().all(|c| c.is_finite())));
     let errors: Vec<f32> = rows.iter().filter(|row| !row.estimate.lights.is_empty()).map(error_deg).collect();
     assert!(largest(errors.iter().copied()) <= worst_deg, "{errors:?}");
     assert!(comings_and_goings(rows) <= events, "{}", comings_and_goings(rows));
-    let (direct, all) = largest_steps(rows);
-    assert!(direct <= step && all <= step, "{direct} {all}");
     // Nothing is taken out of the SH that is not in them, up to their ringing.
     assert!(least_residual(rows) > 0.0, "{}", least_residual(rows));
+}
+
+/// And the light on any surface changes by no more than this in a frame.
+fn assert_steady(rows: &[Row], events: usize, worst_deg: f32, step: f32) {
+    assert_sound(rows, events, worst_deg);
+    let (direct, all) = largest_steps(rows);
+    assert!(direct <= step && all <= step, "{direct} {all}");
 }
 
 fn lit(rows: &[Row]) -> usize {
@@ -169,7 +175,8 @@ fn a_jump_of_the_white_balance_is_taken_within_three_frames() {
 #[test]
 fn the_beat_of_a_lamp_is_damped_tenfold() {
     let rows = run(&sequences::lamp_beat());
-    assert_steady(&rows, 0, 0.3, 1.0);
+    // No bound on steps: until the beat is known for one it is followed, and that is tested below.
+    assert_sound(&rows, 0, 0.3);
     let swing = |values: Vec<f32>| {
         let (least, most) = values.iter().fold((f32::INFINITY, 0.0f32), |(a, b), v| (a.min(*v), b.max(*v)));
         2.0 * (most - least) / (most + least)
@@ -264,6 +271,15 @@ fn a_clipped_sky_is_one_light_at_any_share() {
     assert!(largest(rows.iter().map(error_deg)) < 0.5);
     // Away from the light the SH of a disc as wide as a sky ring, and clients clamp them.
     assert!(least_residual(&rows) > -0.15, "{}", least_residual(&rows));
+}
+
+#[test]
+fn a_clipped_speck_over_bright_ground_does_not_flicker() {
+    let rows = run(&sequences::clipped_speck());
+    let (direct, all) = largest_steps(&rows);
+    // A pixel of this picture is four texels of the panorama, and at this height a sixth of what is trusted whole. Clipped from one frame to
+    // the next it is given 7 % of what is missing, which is four times what the sky gives: 0.11 of all.
+    assert!(direct < 0.12 && all < 0.12, "{direct} {all}");
 }
 
 #[test]

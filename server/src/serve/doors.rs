@@ -3,6 +3,7 @@
 use std::io::Write;
 use std::net::{IpAddr, SocketAddr, UdpSocket};
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 use anyhow::Context;
 use moq_net::{Pattern, Patterns};
@@ -12,6 +13,9 @@ use mr360_protocol::transport::{Certificate, Closer, DialError, Dialer, LinkEven
 use tokio::task::JoinHandle;
 
 use super::args::Settings;
+
+/// Longest wait for the relay's dialer to return once its connection has been ended.
+const RELAY_ENDS_WITHIN: Duration = Duration::from_secs(1);
 
 /// Doors that are ready to be opened: port and certificate are ours, nobody is let in yet.
 pub(super) struct Doors {
@@ -93,14 +97,16 @@ impl Open {
 
     /// Tells everybody that the broadcast is over.
     pub(super) async fn close(self) {
-        if let Some(relay) = &self.relay {
-            // Or it would dial again.
-            relay.abort();
-        }
         let farewells: Vec<_> = self.closers.into_iter().map(|closer| tokio::spawn(closer.close())).collect();
         for farewell in farewells {
             // A farewell that failed leaves its peers to notice the silence.
             let _ = farewell.await;
+        }
+        let Some(mut relay) = self.relay else { return };
+        // Never aborted before it was asked: its task is the one that says goodbye to the relay.
+        if tokio::time::timeout(RELAY_ENDS_WITHIN, &mut relay).await.is_err() {
+            relay.abort();
+            tracing::debug!("the relay was not told of the end");
         }
     }
 }

@@ -19,7 +19,7 @@ const MEMORY_S: f64 = 1.0;
 const TURN_S: f64 = 0.15;
 /// What exceeds the swings by this factor is none of them.
 const BEYOND_SWINGS: f64 = 2.0;
-/// A trend says nothing about what happened in a gap longer than this.
+/// A trend says nothing about what happened in a gap longer than this, whether it is one long frame or many without an observation.
 const HORIZON_S: f64 = 0.1;
 
 /// How a quantity is followed, in its own unit.
@@ -69,6 +69,8 @@ pub(super) struct Follower {
     /// The last observation.
     last: DVec3,
     age_s: f64,
+    /// Time since then that was coasted over.
+    unseen_s: f64,
     run: Option<Run>,
     swings: Swings,
     /// A run that has just been taken for a change, and how long ago.
@@ -83,6 +85,7 @@ impl Follower {
             trend: DVec3::ZERO,
             last: observed,
             age_s: 0.0,
+            unseen_s: 0.0,
             run: None,
             swings: Swings { length: 0, size: 0.0, age_s: f64::INFINITY },
             believed: None,
@@ -96,18 +99,22 @@ impl Follower {
 
     /// What it is expected to be in `dt_s` seconds.
     pub(super) fn predicted(&self, dt_s: f64) -> DVec3 {
-        self.level + self.trend * dt_s.min(HORIZON_S)
+        self.level + self.trend * dt_s.min((HORIZON_S - self.unseen_s).max(0.0))
     }
 
     /// Takes on a value at once, as after a change that is known for one.
     pub(super) fn jump(&mut self, observed: DVec3) {
-        (self.level, self.last, self.run) = (observed, observed, None);
+        (self.level, self.trend, self.last) = (observed, DVec3::ZERO, observed);
+        (self.run, self.believed, self.unseen_s) = (None, None, 0.0);
     }
 
-    /// Goes on without an observation.
+    /// Goes on without an observation: along the trend, which is forgotten on the way and ends at the horizon.
     pub(super) fn coast(&mut self, dt_s: f64) {
         self.level = self.predicted(dt_s);
+        self.trend *= (-dt_s / HORIZON_S).exp();
         self.run = None;
+        self.unseen_s += dt_s;
+        self.age(dt_s);
     }
 
     /// Brings the value back onto the unit sphere, for directions.
@@ -115,12 +122,13 @@ impl Follower {
         self.level = self.level.try_normalize().unwrap_or(self.last);
     }
 
-    /// Takes an observation, `dt_s > 0` after the last one.
+    /// Takes an observation, `dt_s > 0` after the last one or the last that was coasted over.
     pub(super) fn observe(&mut self, manner: &Manner, observed: DVec3, dt_s: f64) {
         let predicted = self.predicted(dt_s);
         let deviation = observed - predicted;
         let size = deviation.length();
         self.age(dt_s);
+        let since_s = dt_s + std::mem::take(&mut self.unseen_s);
         if size <= manner.gate {
             self.end_run();
         } else if let Some(run) = self.run.as_mut().filter(|run| deviation.dot(run.deviation) > 0.0) {
@@ -132,8 +140,8 @@ impl Follower {
         let run = self.run;
         match run {
             Some(run) if self.turned_back(manner, run) => (self.level, self.trend) = (0.5 * (predicted + observed), DVec3::ZERO),
-            Some(run) if run.length >= self.patience(manner, size) => self.refit(manner, run, observed, dt_s),
-            _ => self.smooth(manner, predicted, deviation, dt_s),
+            Some(run) if run.length >= self.patience(manner, size) => self.refit(manner, run, observed, since_s),
+            _ => self.smooth(manner, predicted, deviation, since_s),
         }
         self.last = observed;
     }
@@ -177,17 +185,17 @@ impl Follower {
     }
 
     /// A line through the run: level for a step, trend for a ramp.
-    fn refit(&mut self, manner: &Manner, run: Run, observed: DVec3, dt_s: f64) {
-        let slope = if run.length > 1 { (observed - run.observed) / run.age_s } else { (observed - self.last) / dt_s };
+    fn refit(&mut self, manner: &Manner, run: Run, observed: DVec3, since_s: f64) {
+        let slope = if run.length > 1 { (observed - run.observed) / run.age_s } else { (observed - self.last) / since_s };
         (self.level, self.trend) = (observed, slope.clamp_length_max(manner.fastest));
         (self.believed, self.run) = (Some((run, 0.0)), None);
     }
 
     /// Double exponential smoothing, of shorter memory while there is little to remember.
-    fn smooth(&mut self, manner: &Manner, predicted: DVec3, deviation: DVec3, dt_s: f64) {
-        let discount = (-dt_s / CALM_S.min(self.age_s)).exp();
+    fn smooth(&mut self, manner: &Manner, predicted: DVec3, deviation: DVec3, since_s: f64) {
+        let discount = (-since_s / CALM_S.min(self.age_s)).exp();
         self.level = predicted + deviation * (1.0 - discount * discount);
-        let trend = self.trend + deviation * ((1.0 - discount) * (1.0 - discount) / dt_s);
+        let trend = self.trend + deviation * ((1.0 - discount) * (1.0 - discount) / since_s);
         self.trend = trend.clamp_length_max(manner.fastest);
     }
 }
@@ -251,6 +259,49 @@ mod tests {
             let values = follow(&MANNER, 240, |frame| beat(frame) + f64::from(frame >= 200) * 1.0);
             assert!(values[203] > 0.7, "{:?}", &values[198..210]);
         }
+    }
+
+    /// A follower that knows a ramp of this slope a second by heart.
+    fn on_a_ramp(slope: f64) -> Follower {
+        let mut follower = Follower::new(DVec3::ZERO);
+        (1..=30).for_each(|frame| follower.observe(&MANNER, DVec3::splat(slope * f64::from(frame) * DT_S), DT_S));
+        assert!((follower.trend.x / slope - 1.0).abs() < 1e-3, "{follower:?}");
+        follower
+    }
+
+    #[test]
+    fn a_jump_leaves_no_trend_and_nothing_to_turn_back_from() {
+        let mut follower = on_a_ramp(0.7);
+        follower.jump(DVec3::ONE);
+        assert_eq!(follower.predicted(DT_S), DVec3::ONE);
+        // A step up is believed, and then a jump is known for one: a step down after it is no half of a swing.
+        let mut follower = Follower::new(DVec3::ZERO);
+        (0..20).for_each(|_| follower.observe(&MANNER, DVec3::ZERO, DT_S));
+        (0..2).for_each(|_| follower.observe(&MANNER, DVec3::splat(0.5), DT_S));
+        follower.jump(DVec3::ONE);
+        let mut fresh = Follower { age_s: follower.age_s, ..Follower::new(DVec3::ONE) };
+        for follower in [&mut follower, &mut fresh] {
+            follower.observe(&MANNER, DVec3::splat(0.6), DT_S);
+        }
+        assert_eq!(follower.value(), fresh.value());
+    }
+
+    #[test]
+    fn what_is_out_of_sight_drifts_no_further_than_a_trend_can_tell() {
+        let mut follower = on_a_ramp(0.7);
+        let (start, age_s) = (follower.value().x, follower.age_s);
+        let drift: Vec<f64> = (0..30)
+            .map(|_| {
+                follower.coast(DT_S);
+                follower.value().x - start
+            })
+            .collect();
+        assert!(drift.is_sorted() && (drift[0] - 0.7 * DT_S).abs() < 1e-3, "{drift:?}");
+        assert!(drift[29] <= 0.7 * HORIZON_S + 1e-6 && drift[29] == drift[10], "{drift:?}");
+        assert!(follower.trend.x < 1e-3 && (follower.age_s - age_s - 1.0).abs() < 1e-9, "{follower:?}");
+        // Seen again near by, it is not taken for a movement within a single frame.
+        follower.observe(&MANNER, DVec3::splat(follower.value().x + 0.01), DT_S);
+        assert!(follower.trend.x.abs() < 0.3, "{follower:?}");
     }
 
     #[test]

@@ -35,6 +35,7 @@ pub(super) struct Track {
     /// Logarithm of the irradiance in canonical exposure.
     pub(super) intensity: Follower,
     solid_angle_ln: f64,
+    /// Of the energy of the upper hemisphere; none while it is out of sight.
     share: f64,
     alive: bool,
     /// For how long the opposite of `alive` has been asked for.
@@ -109,13 +110,13 @@ impl Track {
     fn miss(&mut self, dt_s: f64) {
         self.direction.coast(dt_s);
         self.direction.normalize();
-        self.seen = None;
+        // What is out of sight has no share, and stands back behind what is in sight.
+        (self.share, self.seen) = (0.0, None);
     }
 
     /// Hysteresis; `dt_s` is none when nothing is known from before.
     fn decide(&mut self, bounds: Bounds, dt_s: Option<f64>) {
-        let share = if self.seen.is_some() { self.share } else { 0.0 };
-        let asked = if self.alive { share < bounds.death } else { share >= bounds.birth };
+        let asked = if self.alive { self.share < bounds.death } else { self.share >= bounds.birth };
         self.pending_s = if asked { self.pending_s + dt_s.unwrap_or(HOLD_S) } else { 0.0 };
         // Half a microsecond for the sum of rounded frame times.
         if asked && self.pending_s + 5e-7 >= HOLD_S {
@@ -288,6 +289,28 @@ mod tests {
         assert!(lives[1..].iter().all(|(id, _)| *id == Some(0)), "{lives:?}");
         // It fades in within 0.2 s: six frames from its second.
         assert!(lives[5].1 < 1.0 && lives[7].1 == 1.0, "{lives:?}");
+    }
+
+    #[test]
+    fn a_light_out_of_sight_gives_way_to_one_in_sight() {
+        let (mut tracks, mut next_id) = (Vec::new(), 0);
+        let bounds = Bounds { lights: 1, ..BOUNDS };
+        let light = |direction, share| Observation { direction, irradiance: DVec3::splat(share), solid_angle_sr: 0.01, share };
+        let (strong, weak) = (light(DVec3::Y, 0.5), light(DVec3::X, 0.1));
+        let mut frame = |observations: &[Observation]| {
+            let mut matched = [None; MOST];
+            for (track, matched) in tracks.iter().zip(&mut matched) {
+                let track: &Track = track;
+                *matched = observations.iter().position(|seen| seen.direction == track.direction.value());
+            }
+            observe(&mut tracks, &Shown { observations, matched, gains: GAINS, dt_s: DT_S }, bounds);
+            decide(&mut tracks, bounds, &mut next_id, Some(DT_S));
+            tracks.iter().filter(|track| track.alive).map(|track| track.id).collect::<Vec<_>>()
+        };
+        (0..8).for_each(|_| drop(frame(&[strong])));
+        // The weak one asks for a place in every second frame, and is refused.
+        assert!((0..3).all(|_| frame(&[strong, weak]) == [Some(0)]));
+        assert_eq!(frame(&[weak]), [Some(1)]);
     }
 
     #[test]
