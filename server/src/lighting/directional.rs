@@ -8,7 +8,7 @@
 use glam::{DVec3, Vec3};
 use mr360_protocol::light::{Lift, SH9};
 use mr360_protocol::video::Colour;
-use mr360_shaders::colour::radiance_from_code;
+use mr360_shaders::colour::{LUMA, luminance, radiance_from_code};
 
 use super::candidates::{Candidate, Candidates};
 use super::harmonics::project9;
@@ -24,8 +24,6 @@ use crate::frame::Frame;
 const SIZE: Grid = Grid { width: 512, height: 256, supersample: 2 };
 /// Rows of the upper hemisphere.
 const UPPER_ROWS: usize = 128;
-/// BT.709 luminance of linear radiance.
-const LUMA: Vec3 = Vec3::new(0.2126, 0.7152, 0.0722);
 /// Most lights of a frame.
 pub const MOST_LIGHTS: usize = 8;
 /// A region is a light from this share of the upper hemisphere's energy on: its shadow takes at most twice that share
@@ -55,7 +53,7 @@ impl Default for Directional {
         let width = SIZE.width as usize;
         Self {
             panorama: Panorama::new(SIZE, Lift::Highlights),
-            white: radiance_from_code(Lift::Highlights, Colour::default(), Vec3::ONE).dot(LUMA),
+            white: luminance(radiance_from_code(Lift::Highlights, Colour::default(), Vec3::ONE)),
             luminance: vec![0.0; width * UPPER_ROWS],
             regions: Regions::new(width, UPPER_ROWS),
             candidates: Candidates::new(most_regions(width, UPPER_ROWS)),

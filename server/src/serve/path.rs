@@ -26,12 +26,14 @@ struct Light {
     steps: StepTimes,
     /// The frame on its way to the wire; its vectors are used again.
     frame: LightFrame,
+    /// The last frame's light was above the wire's range.
+    held: bool,
 }
 
 impl DataPath {
     pub(super) fn new(media: MediaTracks, track: LightTrack, method: Box<dyn LightMethod>, stats: Stats, clock: ServerClock) -> Self {
         let frame = LightFrame { pts_us: 0, published_us: 0, lift: Lift::default(), sh: Vec::new(), lights: Vec::new() };
-        let light = Light { track, method, steps: StepTimes::default(), frame };
+        let light = Light { track, method, steps: StepTimes::default(), frame, held: false };
         Self { media: Mutex::new(media), light: Mutex::new(light), stats, clock }
     }
 
@@ -45,7 +47,7 @@ impl DataPath {
     }
 
     fn light(&self, frame: &Frame, decoded: ServerTime) -> anyhow::Result<()> {
-        let Light { track, method, steps, frame: light } = &mut *self.light.lock().unwrap_or_else(PoisonError::into_inner);
+        let Light { track, method, steps, frame: light, held } = &mut *self.light.lock().unwrap_or_else(PoisonError::into_inner);
         let begun = self.clock.now();
         steps.clear();
         let estimate = method.estimate(frame, steps)?;
@@ -53,6 +55,12 @@ impl DataPath {
         (light.pts_us, light.published_us, light.lift) = (frame.pts_us, published.0, estimate.lift);
         light.sh.clone_from(&estimate.sh);
         light.lights.clone_from(&estimate.lights);
+        let over = light.hold_to_range();
+        // Once for as long as it lasts: a source of this kind is so on every frame.
+        if over > 0 && !*held {
+            tracing::warn!(pts_us = frame.pts_us, over, "light above the wire's range is held to it; give radiance over display white");
+        }
+        *held = over > 0;
         let bytes = track.publish(light)?;
         self.stats.light(&LightRow { pts_us: frame.pts_us, decoded, begun, published, steps, lights: light.lights.len(), bytes });
         Ok(())

@@ -21,7 +21,9 @@ use self::table::{Rectangle, SummedArea};
 use super::light_sum::{LightSum, rank};
 use super::panorama::Panorama;
 use super::sampling::Grid;
-use super::{Estimate, LUMA, LightError, LightMethod, StepTimes};
+use mr360_shaders::colour::LUMA;
+
+use super::{Estimate, LightError, LightMethod, StepTimes};
 use crate::frame::Frame;
 
 /// Working panorama.

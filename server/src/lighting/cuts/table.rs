@@ -2,8 +2,8 @@
 
 use glam::DVec3;
 
-use crate::lighting::LUMA;
 use crate::lighting::panorama::Panorama;
+use mr360_shaders::colour::LUMA;
 
 /// Part of a panorama: rows `top..bottom`, columns `left..right`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

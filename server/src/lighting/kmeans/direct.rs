@@ -2,8 +2,8 @@
 
 use glam::Vec3;
 
-use crate::lighting::LUMA;
 use crate::lighting::panorama::Panorama;
+use mr360_shaders::colour::LUMA;
 
 /// Share of the light that is direct, τ of Rohmer et al. 2015, Section 4.2. Section 6.7 used 0.75 to 0.98 where the
 /// lamps were few and small; a smaller share means smaller lights.

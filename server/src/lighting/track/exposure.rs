@@ -6,6 +6,7 @@
 //! not. What changes in a large part of the picture beyond the gain is a cut.
 
 use glam::{DVec3, Vec3};
+use mr360_shaders::colour::{LUMA, luminance};
 
 use super::super::panorama::Panorama;
 
@@ -15,8 +16,6 @@ const COLUMNS: usize = 64;
 const ROWS: usize = 32;
 /// Rows that take part: latitudes up to 61°. Above and below, texels are slivers, and stitched cameras fill the poles in.
 const FIRST_ROW: usize = 5;
-/// BT.709 luminance of linear radiance.
-const LUMA: Vec3 = Vec3::new(0.2126, 0.7152, 0.0722);
 /// Time in which the reference takes on what changes in the scene itself.
 const RENEWAL_S: f64 = 1.0;
 /// Least number of texels for a median, a twentieth of those that take part.
@@ -68,7 +67,7 @@ impl Coarse {
 
     fn mean_luminance(&self) -> f32 {
         let sum: f32 =
-            self.directions.iter().zip(&self.radiance).map(|((_, solid_angle_sr), radiance)| radiance.dot(LUMA) * solid_angle_sr).sum();
+            self.directions.iter().zip(&self.radiance).map(|((_, solid_angle_sr), radiance)| luminance(*radiance) * solid_angle_sr).sum();
         sum / (4.0 * std::f32::consts::PI)
     }
 }
@@ -160,7 +159,7 @@ impl Exposure {
         let (mut changed, mut informative) = (0usize, 0usize);
         let middle = FIRST_ROW * COLUMNS..(ROWS - FIRST_ROW) * COLUMNS;
         for (radiance, before) in coarse.radiance[middle.clone()].iter().zip(&self.before[middle]) {
-            let (now, before) = (radiance.dot(LUMA), *before);
+            let (now, before) = (luminance(*radiance), *before);
             if !range.holds(now) && !range.holds(before) && (now < range.floor) == (before < range.floor) {
                 continue;
             }
@@ -191,7 +190,7 @@ impl Exposure {
             }
         }
         self.before.clear();
-        self.before.extend(coarse.radiance.iter().map(|radiance| radiance.dot(LUMA)));
+        self.before.extend(coarse.radiance.iter().map(|radiance| luminance(*radiance)));
     }
 }
 
