@@ -2,7 +2,6 @@
 
 use glam::{DVec3, Vec3};
 use mr360_protocol::light::DirectionalLight;
-
 use mr360_shaders::colour::LUMA;
 
 /// Below this share of the strength, the mean of the directions is rounding: light from all around has none.

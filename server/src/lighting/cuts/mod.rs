@@ -15,14 +15,13 @@ mod table;
 
 use glam::Vec3;
 use mr360_protocol::light::{Lift, MAX_LIGHTS, SH9};
+use mr360_shaders::colour::LUMA;
 
 use self::partition::Divider;
 use self::table::{Rectangle, SummedArea};
 use super::light_sum::{LightSum, rank};
 use super::panorama::Panorama;
 use super::sampling::Grid;
-use mr360_shaders::colour::LUMA;
-
 use super::{Estimate, LightError, LightMethod, StepTimes};
 use crate::frame::Frame;
 

@@ -1,9 +1,9 @@
 //! Summed-area table of light and of the directions that it comes from.
 
 use glam::DVec3;
+use mr360_shaders::colour::LUMA;
 
 use crate::lighting::panorama::Panorama;
-use mr360_shaders::colour::LUMA;
 
 /// Part of a panorama: rows `top..bottom`, columns `left..right`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
