@@ -67,6 +67,25 @@ pub struct LightFrame {
 }
 
 impl LightFrame {
+    /// Brings what is finite but above [`MAX_MAGNITUDE`] down to it: each light by itself, the SH together, so that
+    /// colours and the shape of the SH stay. Returns how many were held back, the SH counted as one. A frame that is
+    /// somewhat too dim lights a scene better than the last one that did fit.
+    pub fn hold_to_range(&mut self) -> usize {
+        let hold = |values: &mut [&mut Vec3]| {
+            let largest = values.iter().map(|value| value.abs().max_element()).fold(0.0, f32::max);
+            let over = largest.is_finite() && largest > MAX_MAGNITUDE;
+            if over {
+                let range = Vec3::splat(MAX_MAGNITUDE);
+                // The product may be an ulp above the bound.
+                values.iter_mut().for_each(|value| **value = (**value * (MAX_MAGNITUDE / largest)).clamp(-range, range));
+            }
+            usize::from(over)
+        };
+        let lights: usize = self.lights.iter_mut().map(|light| hold(&mut [&mut light.irradiance])).sum();
+        let mut sh: Vec<&mut Vec3> = self.sh.iter_mut().collect();
+        lights + hold(&mut sh)
+    }
+
     /// Encodes for the `light` track. Values are quantised: half floats, octahedral directions of 16 bits.
     ///
     /// # Errors
@@ -238,6 +257,28 @@ mod tests {
         let mut wire = frame(1).to_wire().unwrap().to_vec();
         wire.push(0);
         assert!(matches!(LightFrame::from_wire(&wire), Err(WireError::Malformed { .. })));
+    }
+
+    #[test]
+    fn strong_light_is_held_to_the_range_and_keeps_its_colour() {
+        let mut strong = frame(2);
+        strong.lights[1].irradiance = Vec3::new(4e9, 2e9, 1e9);
+        strong.sh[0] = Vec3::new(1e5, 5e4, 0.0);
+        strong.sh[3] = Vec3::splat(-2e5);
+        assert!(strong.to_wire().is_err());
+        assert_eq!(strong.hold_to_range(), 2);
+        let back = LightFrame::from_wire(&strong.to_wire().unwrap()).unwrap();
+        // Half floats have 11 bits.
+        let close = |got: Vec3, expected: Vec3| assert!((got - expected).abs().max_element() < 5e-4 * MAX_MAGNITUDE, "{got} {expected}");
+        close(back.lights[0].irradiance, Vec3::new(3.0, 2.5, 2.0));
+        close(back.lights[1].irradiance, Vec3::new(1.0, 0.5, 0.25) * MAX_MAGNITUDE);
+        close(back.sh[0], Vec3::new(0.5, 0.25, 0.0) * MAX_MAGNITUDE);
+        close(back.sh[3], Vec3::splat(-MAX_MAGNITUDE));
+        assert_eq!(strong.hold_to_range(), 0);
+        // What is not finite is a fault, and no strong light.
+        strong.lights[0].irradiance.x = f32::INFINITY;
+        assert_eq!(strong.hold_to_range(), 0);
+        assert!(strong.to_wire().is_err());
     }
 
     #[test]

@@ -4,7 +4,7 @@
 //! and PQ that is the reference white of BT.2408, 203 cd/m².
 
 use glam::{Mat3, Vec3};
-use mr360_protocol::light::Lift;
+use mr360_protocol::light::{Lift, MAX_MAGNITUDE};
 use mr360_protocol::video::{Colour, Matrix, Primaries, Transfer};
 
 /// Reference white of HDR video, cd/m² (ITU-R BT.2408).
@@ -20,11 +20,20 @@ pub(crate) const PQ_M: [f32; 2] = [2610.0 / 16384.0, 2523.0 / 4096.0 * 128.0];
 /// c1, c2 and c3 of PQ (SMPTE ST 2084).
 pub(crate) const PQ_C: [f32; 3] = [3424.0 / 4096.0, 2413.0 / 4096.0 * 32.0, 2392.0 / 4096.0 * 32.0];
 
+/// Weights of relative luminance in linear BT.709 and of luma in BT.709 R'G'B' (ITU-R BT.709).
+pub const LUMA: Vec3 = Vec3::new(0.2126, 0.7152, 0.0722);
+
+/// Relative luminance of linear BT.709.
+#[must_use]
+pub fn luminance(rgb: Vec3) -> f32 {
+    rgb.dot(LUMA)
+}
+
 /// Luma weights (Kr, Kb) of a YUV matrix (ITU-T H.273).
 fn luma_weights(matrix: Matrix) -> (f32, f32) {
     match matrix {
         Matrix::Bt601 => (0.299, 0.114),
-        Matrix::Bt709 => (0.2126, 0.0722),
+        Matrix::Bt709 => (LUMA.x, LUMA.z),
         Matrix::Bt2020 => (0.2627, 0.0593),
     }
 }
@@ -134,16 +143,24 @@ pub const IORNS_BASE: f32 = 1.8;
 /// Inverse tone map's factor for a code value (Iorns & Rhee 2015, Eq. 2).
 #[must_use]
 pub fn iorns_factor(code: Vec3) -> f32 {
-    IORNS_GAIN * code.dot(IORNS_LUMA).powi(IORNS_EXPONENT) + IORNS_BASE
+    IORNS_GAIN * code.dot(IORNS_LUMA).max(0.0).powi(IORNS_EXPONENT) + IORNS_BASE
 }
 
-/// Radiance of a code value under a lift, linear BT.709.
+/// Radiance of a code value under a lift, linear BT.709, in [0, [`MAX_MAGNITUDE`]].
 ///
 /// HDR transfers carry their own highlights, so [`Lift::Highlights`] leaves them as they are. The papers'
 /// operator works on the code values themselves, whatever their transfer.
+///
+/// Codes of a transfer other than linear are clamped to [0, 1] first. Limited-range video can hold more (255 of 8 bits
+/// is 1.09), but there it is the ringing of filters and codecs, not measured light, and no transfer says what it means;
+/// the operators' tenth power would make it 2.65 times as bright as white.
 #[must_use]
 pub fn radiance_from_code(lift: Lift, colour: Colour, code: Vec3) -> Vec3 {
-    let linear = || (bt709_from_primaries(colour.primaries) * decode_transfer(colour.transfer, code)).max(Vec3::ZERO);
+    let code = if colour.transfer == Transfer::Linear { code } else { code.clamp(Vec3::ZERO, Vec3::ONE) };
+    let linear = || {
+        let linear = bt709_from_primaries(colour.primaries) * decode_transfer(colour.transfer, code);
+        linear.clamp(Vec3::ZERO, Vec3::splat(MAX_MAGNITUDE))
+    };
     match lift {
         Lift::Linear => linear(),
         Lift::InverseToneMap => code.max(Vec3::ZERO) * iorns_factor(code),
@@ -199,6 +216,26 @@ mod tests {
         assert!((at(Transfer::Pq, 1.0) - 10_000.0 / 203.0).abs() < 1e-2);
         assert!((at(Transfer::Hlg, 1.0) - 1_000.0 / 203.0).abs() < 1e-2);
         assert!((srgb_encode(srgb_decode(0.37)) - 0.37).abs() < 1e-6);
+    }
+
+    #[test]
+    fn luminance_of_white_is_one() {
+        assert!((luminance(Vec3::ONE) - 1.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn codes_outside_the_range_are_as_bright_as_its_ends() {
+        for transfer in [Transfer::Bt709, Transfer::Srgb, Transfer::Pq, Transfer::Hlg] {
+            for lift in [Lift::Linear, Lift::InverseToneMap, Lift::Highlights] {
+                let radiance = |code| radiance_from_code(lift, Colour { transfer, ..Colour::default() }, code);
+                assert_eq!(radiance(Vec3::splat(239.0 / 219.0)), radiance(Vec3::ONE), "{transfer:?} {lift:?}");
+                assert_eq!(radiance(Vec3::new(1.09, 0.4, -0.07)), radiance(Vec3::new(1.0, 0.4, 0.0)), "{transfer:?} {lift:?}");
+            }
+        }
+        // Linear codes are light: all that is above white is meant.
+        let radiance =
+            |code| radiance_from_code(Lift::Linear, Colour { transfer: Transfer::Linear, ..Colour::default() }, Vec3::splat(code));
+        assert_eq!([-1.0, 7.0, 1e9].map(|code| radiance(code).x), [0.0, 7.0, MAX_MAGNITUDE]);
     }
 
     #[test]

@@ -183,10 +183,12 @@ pub struct Probe {
     pub direction: [f32; 3],
     /// By [`crate::source::transfer_index`].
     pub transfer: u32,
-    /// In [0, 1].
+    /// In [0, 1] or somewhat beyond.
     pub code: [f32; 3],
-    /// Unused.
-    pub padding: u32,
+    /// By [`crate::source::lift_index`].
+    pub lift: u32,
+    /// Columns.
+    pub bt709_from_primaries: [[f32; 4]; 3],
 }
 
 /// `ProbeResult`: the kernels' answer.
@@ -205,6 +207,10 @@ pub struct ProbeResult {
     pub round_trip: [f32; 3],
     /// Unused.
     pub padding: f32,
+    /// Radiance of the code under the lift.
+    pub lifted: [f32; 3],
+    /// Unused.
+    pub padding_2: f32,
 }
 
 #[cfg(test)]
@@ -270,7 +276,7 @@ mod tests {
         mirrors!(Object, Video { rgb_from_yuv, bt709_from_primaries, eye_rect, yuv_offset, chroma_shift_u });
         mirrors!(EnvironmentLift, Lift { sh, lights, size_px, samples, light_count });
         mirrors!(Caster, Caster { clip_from_world });
-        mirrors!(Probe, Probe { direction, transfer, code, padding });
-        mirrors!(Probe, ProbeResult { irradiance, u, linear, v, round_trip, padding });
+        mirrors!(Probe, Probe { direction, transfer, code, lift, bt709_from_primaries });
+        mirrors!(Probe, ProbeResult { irradiance, u, linear, v, round_trip, padding, lifted, padding_2 });
     }
 }

@@ -6,14 +6,12 @@
 use std::f32::consts::PI;
 use std::fmt::Write as _;
 
-use mr360_protocol::light::Lift;
+use mr360_protocol::light::{Lift, MAX_MAGNITUDE};
 use mr360_protocol::video::Transfer;
 
 use crate::layout::{MAX_OCCLUDERS, SHADOW_MAP_SIZE};
 use crate::{colour, sh};
 
-/// Largest radiance a shader passes on: the largest finite half float.
-pub const LARGEST_RADIANCE: f32 = mr360_protocol::light::MAX_MAGNITUDE;
 /// Radii from an occluder's centre beyond which it hides exactly nothing.
 pub const OCCLUDER_REACH: f32 = 5.0;
 /// Half the side of the plane that hides what lies beneath the ground, metres.
@@ -210,7 +208,7 @@ fn prelude() -> String {
         ("IORNS_GAIN", colour::IORNS_GAIN),
         ("IORNS_EXPONENT", colour::IORNS_EXPONENT as f32),
         ("IORNS_BASE", colour::IORNS_BASE),
-        ("LARGEST_RADIANCE", LARGEST_RADIANCE),
+        ("MAX_MAGNITUDE", MAX_MAGNITUDE),
         ("OCCLUDER_REACH", OCCLUDER_REACH),
         ("GROUND_EXTENT_M", GROUND_EXTENT_M),
         ("ROUGH_FROM", ROUGH_FROM),
@@ -227,6 +225,7 @@ fn prelude() -> String {
         let _ = writeln!(text, "const {name}: f32 = {value:?};");
     }
     for (name, value) in [
+        ("TRANSFER_LINEAR", transfer_index(Transfer::Linear)),
         ("TRANSFER_BT709", transfer_index(Transfer::Bt709)),
         ("TRANSFER_SRGB", transfer_index(Transfer::Srgb)),
         ("TRANSFER_PQ", transfer_index(Transfer::Pq)),

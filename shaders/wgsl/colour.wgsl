@@ -34,6 +34,25 @@ fn decode_transfer(transfer: u32, code: vec3<f32>) -> vec3<f32> {
     }
 }
 
+// Decoded light as linear BT.709, as much of it as a half float holds.
+fn linear_from_code(transfer: u32, bt709_from_primaries: mat3x3<f32>, code: vec3<f32>) -> vec3<f32> {
+    return clamp(bt709_from_primaries * decode_transfer(transfer, code), vec3(0.0), vec3(MAX_MAGNITUDE));
+}
+
 fn iorns_factor(code: vec3<f32>) -> f32 {
     return IORNS_GAIN * pow(max(dot(code, IORNS_LUMA), 0.0), IORNS_EXPONENT) + IORNS_BASE;
+}
+
+// Radiance that lights are taken from; twin of colour::radiance_from_code, which says why codes are clamped.
+fn radiance_from_code(lift: u32, transfer: u32, bt709_from_primaries: mat3x3<f32>, code: vec3<f32>) -> vec3<f32> {
+    let bounded = select(clamp(code, vec3(0.0), vec3(1.0)), code, transfer == TRANSFER_LINEAR);
+    if lift == LIFT_INVERSE_TONE_MAP {
+        return max(bounded, vec3(0.0)) * iorns_factor(bounded);
+    }
+    let linear = linear_from_code(transfer, bt709_from_primaries, bounded);
+    let standard = transfer == TRANSFER_BT709 || transfer == TRANSFER_SRGB;
+    if lift == LIFT_HIGHLIGHTS && standard {
+        return linear * (iorns_factor(bounded) / IORNS_BASE);
+    }
+    return linear;
 }

@@ -30,7 +30,7 @@ fn fs_lift(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
             sum += lifted_from_code(video_code((at.xy + offset) / size, 0u));
         }
     }
-    var radiance = min(sum / f32(lift.samples * lift.samples), vec3(LARGEST_RADIANCE));
+    var radiance = min(sum / f32(lift.samples * lift.samples), vec3(MAX_MAGNITUDE));
     // A light comes back as its own highlight: what is left in its place is the residual, which the SH hold.
     let direction = direction_from_uv(at.xy / size);
     var within = false;

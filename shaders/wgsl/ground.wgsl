@@ -59,7 +59,7 @@ fn fs_ground(in: GroundVertex) -> @location(0) vec4<f32> {
         return vec4(0.0);
     }
     let seen = video_radiance(ray_through(in.clip.xy + view.layer_origin), view.eye);
-    return vec4(min(seen * ratio, vec3(LARGEST_RADIANCE)), 1.0);
+    return vec4(min(seen * ratio, vec3(MAX_MAGNITUDE)), 1.0);
 }
 
 // Hides what lies beneath the ground: writes depth, and nothing over the video.

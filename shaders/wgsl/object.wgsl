@@ -107,7 +107,7 @@ fn fs_object(in: ObjectVertex, @builtin(front_facing) front: bool) -> @location(
     metallic = clamp(metallic, 0.0, 1.0);
 
     if SURFACE == SURFACE_GLASS {
-        return vec4(min(through_glass(n, v, albedo, mirror, footprint_sr), vec3(LARGEST_RADIANCE)), 1.0);
+        return vec4(min(through_glass(n, v, albedo, mirror, footprint_sr), vec3(MAX_MAGNITUDE)), 1.0);
     }
     let f0 = mix(vec3(0.04), albedo, metallic);
     let weights = ambient_weights(f0, albedo, metallic, max(dot(n, v), 0.0), roughness);
@@ -128,5 +128,5 @@ fn fs_object(in: ObjectVertex, @builtin(front_facing) front: bool) -> @location(
             radiance += light.irradiance * visibility * (specular + weights.diffuse * cosine / PI);
         }
     }
-    return vec4(min(radiance, vec3(LARGEST_RADIANCE)), 1.0);
+    return vec4(min(radiance, vec3(MAX_MAGNITUDE)), 1.0);
 }

@@ -8,7 +8,8 @@ struct Probe {
     direction: vec3<f32>,
     transfer: u32,
     code: vec3<f32>,
-    padding: u32,
+    lift: u32,
+    bt709_from_primaries: mat3x3<f32>,
 }
 
 struct ProbeResult {
@@ -18,6 +19,8 @@ struct ProbeResult {
     v: f32,
     round_trip: vec3<f32>,
     padding: f32,
+    lifted: vec3<f32>,
+    padding_2: f32,
 }
 
 @group(0) @binding(0) var<storage, read> probes: array<Probe>;
@@ -36,5 +39,7 @@ fn cs_probe(@builtin(global_invocation_id) id: vec3<u32>) {
     let probe = probes[id.x];
     let uv = uv_from_direction(probe.direction);
     let irradiance = max(sh_sum(25u, probe.direction, IRRADIANCE_BAND), vec3(0.0));
-    results[id.x] = ProbeResult(irradiance, uv.x, decode_transfer(probe.transfer, probe.code), uv.y, direction_from_uv(uv), 0.0);
+    let linear = decode_transfer(probe.transfer, probe.code);
+    let lifted = radiance_from_code(probe.lift, probe.transfer, probe.bt709_from_primaries, probe.code);
+    results[id.x] = ProbeResult(irradiance, uv.x, linear, uv.y, direction_from_uv(uv), 0.0, lifted, 0.0);
 }

@@ -66,25 +66,12 @@ fn video_code(uv: vec2<f32>, eye: u32) -> vec3<f32> {
     return video.rgb_from_yuv * (yuv - video.yuv_offset);
 }
 
-fn linear_from_code(code: vec3<f32>) -> vec3<f32> {
-    let linear = video.bt709_from_primaries * decode_transfer(TRANSFER, code);
-    return clamp(linear, vec3(0.0), vec3(LARGEST_RADIANCE));
-}
-
-// What the eye sees of the video in a direction.
+// What the eye sees of the video in a direction: codes beyond the range included, as the stream has them.
 fn video_radiance(direction: vec3<f32>, eye: u32) -> vec3<f32> {
-    return linear_from_code(video_code(uv_from_direction(direction), eye));
+    return linear_from_code(TRANSFER, video.bt709_from_primaries, video_code(uv_from_direction(direction), eye));
 }
 
-// The radiance that lights are taken from; twin of colour::radiance_from_code.
+// The radiance that lights are taken from.
 fn lifted_from_code(code: vec3<f32>) -> vec3<f32> {
-    if LIFT == LIFT_INVERSE_TONE_MAP {
-        return max(code, vec3(0.0)) * iorns_factor(code);
-    }
-    let linear = linear_from_code(code);
-    let standard = TRANSFER == TRANSFER_BT709 || TRANSFER == TRANSFER_SRGB;
-    if LIFT == LIFT_HIGHLIGHTS && standard {
-        return linear * (iorns_factor(code) / IORNS_BASE);
-    }
-    return linear;
+    return radiance_from_code(LIFT, TRANSFER, video.bt709_from_primaries, code);
 }

@@ -2,6 +2,7 @@
 
 use glam::Vec3;
 use mr360_protocol::light::{DirectionalLight, Lift, LightFrame, SH9, SH25};
+use mr360_shaders::colour::luminance;
 use mr360_shaders::layout::SHADED_LIGHTS;
 use mr360_shaders::sh::basis25;
 
@@ -42,11 +43,6 @@ impl From<&LightFrame> for FrameLight {
         }
         Self { lift: frame.lift, sh, sh_count, lights }
     }
-}
-
-/// Relative luminance of linear BT.709.
-pub(crate) fn luminance(rgb: Vec3) -> f32 {
-    rgb.dot(Vec3::new(0.2126, 0.7152, 0.0722))
 }
 
 /// Cosine of half the cone of this solid angle, kept below 80°: wider lights are no lights but sky.

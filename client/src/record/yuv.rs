@@ -1,10 +1,11 @@
 //! RGBA8 to 4:2:0, BT.709, limited range.
 
 use ffmpeg_next::frame::Video;
+use mr360_shaders::colour::LUMA;
 
 /// Luma weights of BT.709.
-const KR: f32 = 0.2126;
-const KB: f32 = 0.0722;
+const KR: f32 = LUMA.x;
+const KB: f32 = LUMA.z;
 const KG: f32 = 1.0 - KR - KB;
 
 /// Writes `rgba` (`width`×`height`, tightly packed) into an even-sized YUV420P frame; a missing last column or row repeats its neighbour.

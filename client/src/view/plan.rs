@@ -1,9 +1,9 @@
 //! What a frame needs: which passes run at all. Decided from the scene and the light, in one place.
 
+use mr360_shaders::colour::luminance;
 use mr360_shaders::source::ROUGH_TO;
 
 use crate::environment::FrameLight;
-use crate::environment::light::luminance;
 
 /// Most lights that cast shadows.
 pub const MAX_SHADOWS: usize = 4;

@@ -1,17 +1,22 @@
 //! The light kernels on the GPU against their CPU twins. Needs a Vulkan adapter and fails without one.
 
-use glam::{Vec2, Vec3};
-use mr360_protocol::video::Transfer;
-use mr360_shaders::colour::decode_transfer;
+use glam::{Mat3, Vec2, Vec3};
+use mr360_protocol::light::Lift;
+use mr360_protocol::video::{Colour, Primaries, Transfer};
+use mr360_shaders::colour::{bt709_from_primaries, decode_transfer, radiance_from_code};
 use mr360_shaders::equirect::{direction_from_uv, uv_from_direction};
 use mr360_shaders::layout::{Probe, ProbeResult};
 use mr360_shaders::sh::irradiance;
-use mr360_shaders::source::{Module, transfer_index};
+use mr360_shaders::source::{Module, lift_index, transfer_index};
 use wgpu::util::DeviceExt as _;
 
 use crate::gpu::Gpu;
 
 const TRANSFERS: [Transfer; 5] = [Transfer::Bt709, Transfer::Srgb, Transfer::Linear, Transfer::Pq, Transfer::Hlg];
+const PRIMARIES: [Primaries; 4] = [Primaries::Bt709, Primaries::Bt2020, Primaries::Bt601Pal, Primaries::Bt601Ntsc];
+const LIFTS: [Lift; 3] = [Lift::Linear, Lift::InverseToneMap, Lift::Highlights];
+/// Codes asked of each kind.
+const CODES: usize = 64;
 
 fn ask(gpu: &Gpu, probes: &[Probe], sh: &[[f32; 4]; 25]) -> Vec<ProbeResult> {
     let device = &gpu.device;
@@ -53,28 +58,51 @@ fn ask(gpu: &Gpu, probes: &[Probe], sh: &[[f32; 4]; 25]) -> Vec<ProbeResult> {
     bytemuck::pod_collect_to_vec(&gpu.read_buffer(&back).unwrap())
 }
 
+/// Columns as the shaders have them.
+fn columns(matrix: Mat3) -> [[f32; 4]; 3] {
+    [matrix.x_axis, matrix.y_axis, matrix.z_axis].map(|column| column.extend(0.0).to_array())
+}
+
 #[test]
 fn kernels_match_their_cpu_twins() {
     let gpu = Gpu::headless().unwrap();
     let sh: [Vec3; 25] = std::array::from_fn(|i| Vec3::new(1.0, 0.1 * i as f32, 0.5 - 0.03 * i as f32) / (1.0 + i as f32 * 0.3));
-    let probes: Vec<Probe> = (0..512)
-        .map(|i| {
-            let uv = Vec2::new((i % 32) as f32 / 32.0 + 0.01, ((i / 32) as f32 + 0.5) / 16.0);
-            let transfer = TRANSFERS[i % TRANSFERS.len()];
-            let code = [i as f32 / 511.0, 0.5, 1.0 - i as f32 / 511.0];
-            Probe { direction: direction_from_uv(uv).to_array(), transfer: transfer_index(transfer), code, padding: 0 }
-        })
+    let kinds: Vec<_> = TRANSFERS
+        .into_iter()
+        .flat_map(|transfer| PRIMARIES.map(|primaries| (transfer, primaries)))
+        .flat_map(|(transfer, primaries)| LIFTS.map(|lift| (lift, Colour { transfer, primaries, ..Colour::default() })))
         .collect();
-    for (i, (probe, result)) in probes.iter().zip(ask(&gpu, &probes, &sh.map(|c| c.extend(0.0).to_array()))).enumerate() {
+    // As far below black and above white as the codes of limited-range video go.
+    let step = |i: usize| -0.1 + 1.2 * i as f32 / (CODES - 1) as f32;
+    let questions: Vec<_> = kinds.iter().flat_map(|kind| (0..CODES).map(move |i| (*kind, i))).collect();
+    let probe = |(n, ((lift, colour), i)): (usize, &((Lift, Colour), usize))| {
+        let uv = Vec2::new((n % 64) as f32 / 64.0 + 0.01, ((n / 64) as f32 + 0.5) / (questions.len() as f32 / 64.0));
+        Probe {
+            direction: direction_from_uv(uv).to_array(),
+            transfer: transfer_index(colour.transfer),
+            code: [step(*i), 0.5, step(CODES - 1 - i)],
+            lift: lift_index(*lift),
+            bt709_from_primaries: columns(bt709_from_primaries(colour.primaries)),
+        }
+    };
+    let probes: Vec<Probe> = questions.iter().enumerate().map(probe).collect();
+    let results = ask(&gpu, &probes, &sh.map(|c| c.extend(0.0).to_array()));
+    assert_eq!(results.len(), probes.len());
+    for (((lift, colour), probe), result) in questions.iter().map(|(kind, _)| kind).zip(&probes).zip(&results) {
         let direction = Vec3::from_array(probe.direction);
         let expected = irradiance(&sh, direction);
         assert!((Vec3::from_array(result.irradiance) - expected).abs().max_element() < 1e-4, "irradiance {direction}");
         // Vulkan allows atan2 an error of 4096 ulp, and asin inherits it.
         assert!((Vec2::new(result.u, result.v) - uv_from_direction(direction)).abs().max_element() < 5e-4, "uv of {direction}");
         assert!((Vec3::from_array(result.round_trip) - direction).length() < 4e-3, "round trip of {direction}");
-        let linear = decode_transfer(TRANSFERS[i % TRANSFERS.len()], Vec3::from_array(probe.code));
-        let error = (Vec3::from_array(result.linear) - linear).abs() / (linear.abs() + 1e-3);
+        let code = Vec3::from_array(probe.code);
+        let linear = decode_transfer(colour.transfer, code);
         // PQ raises to a power of 78, which multiplies the error of a power function by as much.
-        assert!(error.max_element() < 5e-3, "probe {i}: {:?} against {linear}", result.linear);
+        let error = (Vec3::from_array(result.linear) - linear).abs() / (linear.abs() + 1e-3);
+        assert!(error.max_element() < 5e-3, "{colour:?} {code}: {:?} against {linear}", result.linear);
+        // The primaries take channels from each other: what is left has the error of the largest.
+        let radiance = radiance_from_code(*lift, *colour, code);
+        let error = (Vec3::from_array(result.lifted) - radiance).abs().max_element() / (linear.abs().max(radiance).max_element() + 1e-3);
+        assert!(error < 1e-2, "{lift:?} {colour:?} {code}: {:?} against {radiance}", result.lifted);
     }
 }

@@ -196,7 +196,7 @@ fn half_a_state_folder_is_made_whole_or_named_with_the_remedy() {
     let made = Certificate::load_or_make(folder.path()).unwrap().fingerprint();
     let files =
         || std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect::<std::collections::BTreeSet<_>>();
-    assert_eq!(files(), ["certificate.pem", "key.pem"].map(Into::into).into());
+    assert_eq!(files(), ["certificate.pem", "key.pem", "lock"].map(Into::into).into());
     // A first start that was cut short: the key comes last.
     std::fs::remove_file(folder.path().join("key.pem")).unwrap();
     assert_ne!(Certificate::load_or_make(folder.path()).unwrap().fingerprint(), made);

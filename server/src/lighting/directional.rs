@@ -10,7 +10,7 @@
 use glam::{DVec3, Vec3};
 use mr360_protocol::light::{Lift, SH9};
 use mr360_protocol::video::Colour;
-use mr360_shaders::colour::radiance_from_code;
+use mr360_shaders::colour::{LUMA, luminance, radiance_from_code};
 
 use super::candidates::{Candidate, Candidates};
 use super::harmonics::project9;
@@ -55,7 +55,7 @@ impl Default for Directional {
         let width = SIZE.width as usize;
         Self {
             panorama: Panorama::new(SIZE, Lift::Highlights),
-            white: radiance_from_code(Lift::Highlights, Colour::default(), Vec3::ONE).dot(LUMA),
+            white: luminance(radiance_from_code(Lift::Highlights, Colour::default(), Vec3::ONE)),
             luminance: vec![0.0; width * UPPER_ROWS],
             regions: Regions::new(width, UPPER_ROWS),
             candidates: Candidates::new(most_regions(width, UPPER_ROWS)),

@@ -3,8 +3,9 @@
 use std::f32::consts::PI;
 
 use glam::{DVec3, Vec3};
-use mr360_protocol::light::Lift;
+use mr360_protocol::light::{Lift, LightFrame, MAX_MAGNITUDE};
 use mr360_protocol::video::Transfer;
+use mr360_shaders::colour::luminance;
 use mr360_shaders::equirect::pixel_solid_angle_sr;
 use mr360_shaders::sh;
 
@@ -169,7 +170,7 @@ fn as_many_lights_as_asked_for_and_the_strongest_first() {
         for mut method in placing(count) {
             let estimate = estimate_with(method.as_mut(), &frame);
             assert_eq!(estimate.lights.len(), count, "{}", method.name());
-            let strength = |light: &super::DirectionalLight| light.irradiance.dot(super::LUMA);
+            let strength = |light: &super::DirectionalLight| luminance(light.irradiance);
             assert!(estimate.lights.windows(2).all(|pair| strength(&pair[0]) >= strength(&pair[1])), "{}", method.name());
             let mut ids: Vec<u32> = estimate.lights.iter().map(|light| light.id).collect();
             ids.sort_unstable();
@@ -216,6 +217,27 @@ fn impossible_pixels_leave_the_light_finite() {
     }
     for mut method in all() {
         assert_eq!(estimate_with(method.as_mut(), &frame).mended, 10, "{}", method.name());
+    }
+}
+
+#[test]
+fn the_strongest_light_there_is_crosses_the_wire() {
+    // HDR in absolute units: a whole sphere as bright as can be said, and a dim one with a sun of cd/m².
+    let (width, height) = (256, 128);
+    let whole = frame(width, height, Transfer::Linear, vec![[f32::MAX; 3]; (width * height) as usize]);
+    let sun = sky(Transfer::Linear, Vec3::splat(3e3), &[Disc::at(10.0, 45.0, 9.0, Vec3::new(1.6e9, 1.4e9, 1.0e9))]);
+    for (i, frame) in [whole, sun].iter().enumerate() {
+        for mut method in all() {
+            let Estimate { lift, sh, lights, .. } = estimate_with(method.as_mut(), frame);
+            let mut light = LightFrame { pts_us: 0, published_us: 0, lift, sh, lights };
+            let strongest = |light: &LightFrame| light.lights.iter().map(|l| l.irradiance.max_element()).fold(0.0, f32::max);
+            let before = strongest(&light);
+            light.hold_to_range();
+            let wire = light.to_wire().unwrap_or_else(|error| panic!("{i}, {}: {error}", method.name()));
+            let back = LightFrame::from_wire(&wire).unwrap();
+            assert_eq!(back.lights.len(), light.lights.len());
+            assert!((strongest(&back) / before.min(MAX_MAGNITUDE) - 1.0).abs() < 1e-3 || before == 0.0, "{i}, {}", method.name());
+        }
     }
 }
 

@@ -2,8 +2,7 @@
 
 use glam::{DVec3, Vec3};
 use mr360_protocol::light::DirectionalLight;
-
-use super::LUMA;
+use mr360_shaders::colour::LUMA;
 
 /// Below this share of the strength, the mean of the directions is rounding: light from all around has none.
 const LEAST_MEAN_DIRECTION: f64 = 1e-6;

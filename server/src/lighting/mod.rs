@@ -47,9 +47,6 @@ pub use steps::StepTimes;
 
 use panorama::Panorama;
 
-/// BT.709 luminance of linear radiance.
-const LUMA: Vec3 = Vec3::new(0.2126, 0.7152, 0.0722);
-
 /// Light of one frame, before it has a time.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Estimate {

@@ -160,7 +160,17 @@ mod tests {
                 for lift in [Lift::Linear, Lift::InverseToneMap, Lift::Highlights] {
                     let colour = Colour { transfer, primaries, ..Colour::default() };
                     let table = RadianceTable::new(lift, colour);
-                    for code in [Vec3::ZERO, Vec3::new(0.9, 0.5, 0.2), Vec3::splat(0.73), Vec3::new(0.3, 0.8, 0.31), Vec3::ONE] {
+                    // Limited-range video holds codes below black and above white; 255 of 8 bits is 1.09.
+                    for code in [
+                        Vec3::ZERO,
+                        Vec3::new(0.9, 0.5, 0.2),
+                        Vec3::splat(0.73),
+                        Vec3::new(0.3, 0.8, 0.31),
+                        Vec3::ONE,
+                        Vec3::splat(239.0 / 219.0),
+                        Vec3::new(1.09, 0.4, -0.07),
+                        Vec3::splat(-0.07),
+                    ] {
                         let mut planes = code.to_array().map(|v| vec![v]);
                         table.decode(&mut planes);
                         let got = Vec3::new(planes[0][0], planes[1][0], planes[2][0]);

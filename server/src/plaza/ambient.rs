@@ -11,11 +11,10 @@ use super::geometry::Ray;
 use super::noise::unit3;
 use super::place::{Contact, Material, Place};
 use super::sky::Sky;
-use super::surface::PAVING;
+use super::surface::PAVING_MEAN;
 
 const STRATA: [u32; 2] = [4, 9];
 const TABLE: [usize; 2] = [96, 24];
-const GROUND_ALBEDO: f32 = 0.36;
 
 /// Irradiance from everything but the sun's disc.
 #[derive(Debug, Clone, Copy, Default)]
@@ -73,7 +72,7 @@ impl World {
     /// Ambient light in the open, by the normal alone.
     pub(super) fn open(&self, normal: Vec3) -> Ambient {
         let (up, down) = (0.5 + 0.5 * normal.y, 0.5 - 0.5 * normal.y);
-        let ground = self.direct() * (self.sky.sun.y * GROUND_ALBEDO);
+        let ground = self.direct() * PAVING_MEAN * self.sky.sun.y;
         let around = Vec3::new(0.55, 0.45, 0.35);
         Ambient { sky: self.sky.up_irradiance * (0.72 * up + 0.25 * down), bounce: ground * (0.62 * down + around * 0.22) }
     }
@@ -86,7 +85,7 @@ impl World {
     /// Radiance that a matt version of a surface sends back: sky part and sun part.
     pub(super) fn simple(&self, ray: &Ray, contact: &Contact) -> Ambient {
         let albedo = match self.place.material(contact.primitive) {
-            Material::Paving => PAVING,
+            Material::Paving => PAVING_MEAN,
             Material::Plain(colour) | Material::Tiles(colour) => colour,
             Material::Foliage { colour, .. } => colour * 0.7,
             Material::Water => Vec3::new(0.08, 0.12, 0.12),

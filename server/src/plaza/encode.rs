@@ -1,6 +1,7 @@
 //! Linear light to 8-bit limited-range BT.709 YUV 4:2:0.
 
 use glam::Vec3;
+use mr360_shaders::colour::LUMA;
 
 const STEPS: usize = 4096;
 /// BT.1886 without black lift: code = light^(1/2.4), the inverse of the project's decoding.
@@ -40,17 +41,13 @@ impl Encoder {
         for (i, light) in light.into_iter().enumerate() {
             let codes = self.codes(light);
             mean += codes * 0.25;
-            planes.y[(y + i / 2) * planes.width + x + i % 2] = (16.5 + 219.0 * luma(codes)) as u8;
+            planes.y[(y + i / 2) * planes.width + x + i % 2] = (16.5 + 219.0 * codes.dot(LUMA)) as u8;
         }
-        let luma = luma(mean);
+        let luma = mean.dot(LUMA);
         let at = y / 2 * (planes.width / 2) + x / 2;
         planes.u[at] = (128.5 + 224.0 * (mean.z - luma) / 1.8556) as u8;
         planes.v[at] = (128.5 + 224.0 * (mean.x - luma) / 1.5748) as u8;
     }
-}
-
-fn luma(codes: Vec3) -> f32 {
-    codes.dot(Vec3::new(0.2126, 0.7152, 0.0722))
 }
 
 impl Planes {

@@ -10,6 +10,7 @@ use super::geometry::Shape;
 use super::movers::Figure;
 use super::place::{GROUND_Y, Material, Place};
 use super::still::Still;
+use super::surface::PAVING_MEAN;
 
 /// The truth about one frame. Directions, metres and linear BT.709 as everywhere; display white is 1.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -108,8 +109,6 @@ pub struct GeometryTruth {
     pub size: [f32; 3],
 }
 
-/// Mean albedo of the paving.
-const GROUND_ALBEDO: [f32; 3] = [0.38, 0.34, 0.29];
 /// Distance that walkers and things keep from the camera.
 const FREE_RADIUS: f32 = 6.0;
 
@@ -185,7 +184,7 @@ impl StillIrradiance {
 
 /// The ground's truth.
 pub(super) fn ground() -> GroundTruth {
-    GroundTruth { y: GROUND_Y, albedo: GROUND_ALBEDO, free_radius: FREE_RADIUS }
+    GroundTruth { y: GROUND_Y, albedo: PAVING_MEAN.to_array(), free_radius: FREE_RADIUS }
 }
 
 /// Every primitive; the clumps of a crown are one `foliage` sphere.

@@ -31,6 +31,8 @@ struct Light {
     steps: StepTimes,
     /// The frame on its way to the wire; its vectors are used again.
     frame: LightFrame,
+    /// The last frame's light was above the wire's range.
+    held: bool,
 }
 
 impl DataPath {
@@ -44,7 +46,7 @@ impl DataPath {
         clock: ServerClock,
     ) -> (Self, oneshot::Receiver<anyhow::Error>) {
         let frame = LightFrame { pts_us: 0, published_us: 0, lift: Lift::default(), sh: Vec::new(), lights: Vec::new() };
-        let light = Light { track, method, steps: StepTimes::default(), frame };
+        let light = Light { track, method, steps: StepTimes::default(), frame, held: false };
         let (fault, failed) = oneshot::channel();
         let path = Self { media: Mutex::new(media), light: Mutex::new(light), stats, clock, first_start: Mutex::new(Some(fault)) };
         (path, failed)
@@ -88,7 +90,7 @@ impl DataPath {
     }
 
     fn light(&self, frame: &Frame, decoded: ServerTime) -> anyhow::Result<()> {
-        let Light { track, method, steps, frame: light } = &mut *self.light.lock().unwrap_or_else(PoisonError::into_inner);
+        let Light { track, method, steps, frame: light, held } = &mut *self.light.lock().unwrap_or_else(PoisonError::into_inner);
         let begun = self.clock.now();
         steps.clear();
         let estimate = method.estimate(frame, steps)?;
@@ -96,6 +98,12 @@ impl DataPath {
         (light.pts_us, light.published_us, light.lift) = (frame.pts_us, published.0, estimate.lift);
         light.sh.clone_from(&estimate.sh);
         light.lights.clone_from(&estimate.lights);
+        let over = light.hold_to_range();
+        // Once for as long as it lasts: a source of this kind is so on every frame.
+        if over > 0 && !*held {
+            tracing::warn!(pts_us = frame.pts_us, over, "light above the wire's range is held to it; give radiance over display white");
+        }
+        *held = over > 0;
         let bytes = track.publish(light)?;
         self.stats.light(&LightRow { pts_us: frame.pts_us, decoded, begun, published, steps, lights: light.lights.len(), bytes });
         Ok(())

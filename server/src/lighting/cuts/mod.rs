@@ -15,13 +15,14 @@ mod table;
 
 use glam::Vec3;
 use mr360_protocol::light::{Lift, MAX_LIGHTS, SH9};
+use mr360_shaders::colour::LUMA;
 
 use self::partition::Divider;
 use self::table::{Rectangle, SummedArea};
 use super::light_sum::{LightSum, rank};
 use super::panorama::Panorama;
 use super::sampling::Grid;
-use super::{Estimate, LUMA, LightError, LightMethod, StepTimes};
+use super::{Estimate, LightError, LightMethod, StepTimes};
 use crate::frame::Frame;
 
 /// Working panorama.

@@ -1,8 +1,8 @@
 //! Summed-area table of light and of the directions that it comes from.
 
 use glam::DVec3;
+use mr360_shaders::colour::LUMA;
 
-use crate::lighting::LUMA;
 use crate::lighting::panorama::Panorama;
 
 /// Part of a panorama: rows `top..bottom`, columns `left..right`.

@@ -1,8 +1,8 @@
 //! Direct light: what stands out of a panorama, taken out of it texel by texel and channel by channel.
 
 use glam::Vec3;
+use mr360_shaders::colour::LUMA;
 
-use crate::lighting::LUMA;
 use crate::lighting::panorama::Panorama;
 
 /// Share of the light that is direct, τ of Rohmer et al. 2015, Section 4.2. Section 6.7 used 0.75 to 0.98 where the

@@ -6,6 +6,7 @@
 //! not. What changes in a large part of the picture beyond the gain is a cut.
 
 use glam::{DVec3, Vec3};
+use mr360_shaders::colour::{LUMA, luminance};
 
 use super::super::LUMA;
 use super::super::panorama::Panorama;
@@ -67,7 +68,7 @@ impl Coarse {
 
     fn mean_luminance(&self) -> f32 {
         let sum: f32 =
-            self.directions.iter().zip(&self.radiance).map(|((_, solid_angle_sr), radiance)| radiance.dot(LUMA) * solid_angle_sr).sum();
+            self.directions.iter().zip(&self.radiance).map(|((_, solid_angle_sr), radiance)| luminance(*radiance) * solid_angle_sr).sum();
         sum / (4.0 * std::f32::consts::PI)
     }
 }
@@ -159,7 +160,7 @@ impl Exposure {
         let (mut changed, mut informative) = (0usize, 0usize);
         let middle = FIRST_ROW * COLUMNS..(ROWS - FIRST_ROW) * COLUMNS;
         for (radiance, before) in coarse.radiance[middle.clone()].iter().zip(&self.before[middle]) {
-            let (now, before) = (radiance.dot(LUMA), *before);
+            let (now, before) = (luminance(*radiance), *before);
             if !range.holds(now) && !range.holds(before) && (now < range.floor) == (before < range.floor) {
                 continue;
             }
@@ -190,7 +191,7 @@ impl Exposure {
             }
         }
         self.before.clear();
-        self.before.extend(coarse.radiance.iter().map(|radiance| radiance.dot(LUMA)));
+        self.before.extend(coarse.radiance.iter().map(|radiance| luminance(*radiance)));
     }
 }
 

@@ -8,6 +8,7 @@
 
 use glam::{DVec3, Vec3};
 use mr360_protocol::light::SH9;
+use mr360_shaders::colour;
 
 use self::assign::{Costs, MOST};
 pub(super) use self::exposure::Coarse;
@@ -25,7 +26,7 @@ mod life;
 /// Most observations that a frame may bring.
 pub(super) const MOST_OBSERVATIONS: usize = MOST;
 /// BT.709 luminance in double precision.
-const LUMA: DVec3 = DVec3::new(super::LUMA.x as f64, super::LUMA.y as f64, super::LUMA.z as f64);
+const LUMA: DVec3 = DVec3::new(colour::LUMA.x as f64, colour::LUMA.y as f64, colour::LUMA.z as f64);
 /// Exposure: natural logarithm. The median over hundreds of texels is good to a thousandth; automatic exposure and
 /// white balance move by less than 3 EV a second unless they jump.
 const GAIN: Manner = Manner { gate: 0.015, leap: 0.015, fastest: 3.0, suppress_swings: true };
