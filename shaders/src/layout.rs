@@ -53,8 +53,8 @@ pub struct Light {
     pub shadow_range_m: f32,
     /// Metres.
     pub shadow_texel_m: f32,
-    /// Unused.
-    pub padding: f32,
+    /// 1 where the reflection map is without the light, 0 where it holds it.
+    pub cut: f32,
 }
 
 /// `Lighting`: the light of the frame and what it needs to know of the scene.
@@ -145,13 +145,13 @@ pub struct Video {
 pub struct Lift {
     /// RGB and a pad.
     pub sh: [[f32; 4]; 25],
-    /// Direction and cosine of half the cone.
+    /// Those to be cut out: direction and cosine of half the cone.
     pub lights: [[f32; 4]; SHADED_LIGHTS],
     /// Texels.
     pub size_px: [u32; 2],
     /// Along one side of a texel.
     pub samples: u32,
-    /// Lights in use.
+    /// Lights to be cut out.
     pub light_count: u32,
 }
 
@@ -251,7 +251,7 @@ mod tests {
                 shadow_half_width_m,
                 shadow_range_m,
                 shadow_texel_m,
-                padding
+                cut
             }
         );
         mirrors!(

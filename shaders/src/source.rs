@@ -20,10 +20,6 @@ pub const GROUND_EXTENT_M: f32 = 10_000.0;
 pub const ROUGH_FROM: f32 = 0.7;
 /// Perceptual roughness from which reflections come from spherical harmonics alone.
 pub const ROUGH_TO: f32 = 0.9;
-/// Perceptual roughness up to which a surface shows lights only as the video shows them.
-pub const MIRROR_FROM: f32 = 0.05;
-/// Perceptual roughness from which lights have their whole highlight.
-pub const MIRROR_TO: f32 = 0.15;
 /// GGX alpha below which a lobe is as good as a cone.
 pub const MIRROR_ALPHA: f32 = 0.02;
 /// Refractive index of glass.
@@ -213,8 +209,6 @@ fn prelude() -> String {
         ("GROUND_EXTENT_M", GROUND_EXTENT_M),
         ("ROUGH_FROM", ROUGH_FROM),
         ("ROUGH_TO", ROUGH_TO),
-        ("MIRROR_FROM", MIRROR_FROM),
-        ("MIRROR_TO", MIRROR_TO),
         ("GLASS_IOR", GLASS_IOR),
         ("MIRROR_ALPHA", MIRROR_ALPHA),
         ("GOLDEN_COSINE", golden_angle.cos()),

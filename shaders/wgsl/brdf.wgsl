@@ -26,13 +26,28 @@ fn ambient_weights(f0: vec3<f32>, albedo: vec3<f32>, metallic: f32, n_dot_v: f32
     return AmbientWeights(single, multiple + diffuse);
 }
 
-// Reflected radiance from a light of unit irradiance, cosine included. The lobe is widened by the light's cone.
-fn ggx_direct(f0: vec3<f32>, n: vec3<f32>, v: vec3<f32>, l: vec3<f32>, roughness: f32, tan_radius: f32) -> vec3<f32> {
+// GGX alpha of a highlight: the surface's own, widened by the light's cone and by the mirror directions that a pixel
+// spans (Kaplanyan et al. 2016; four of them to a half vector). Alpha of one pixel's spacing: sampled once a pixel,
+// the peak keeps its sum over the pixels within 3 %, wherever it falls between them.
+fn highlight_alpha(roughness: f32, tan_radius: f32, footprint_sr: f32) -> f32 {
+    let alpha = roughness * roughness + 0.5 * tan_radius;
+    return clamp(sqrt(alpha * alpha + 0.25 * footprint_sr), 0.003, 1.0);
+}
+
+// Radiance of a light of unit irradiance in a cone around a direction at this cosine from it: the spherical Gaussian
+// with the peak of a GGX highlight of this alpha, without its tails, which no cone of the map has. Its integral over
+// directions is 1.
+fn cone_of_light(cosine: f32, alpha: f32) -> f32 {
+    let sharpness = 0.5 / (alpha * alpha);
+    return sharpness / (2.0 * PI * (1.0 - exp(-2.0 * sharpness))) * exp(sharpness * (cosine - 1.0));
+}
+
+// Reflected radiance from a light of unit irradiance, cosine included.
+fn ggx_direct(f0: vec3<f32>, n: vec3<f32>, v: vec3<f32>, l: vec3<f32>, alpha: f32) -> vec3<f32> {
     let h = normalize(v + l);
     let n_dot_l = max(dot(n, l), 0.0);
     let n_dot_v = max(dot(n, v), 1e-3);
     let n_dot_h = max(dot(n, h), 0.0);
-    let alpha = clamp(roughness * roughness + 0.5 * tan_radius, 0.003, 1.0);
     let a2 = alpha * alpha;
     let d = n_dot_h * n_dot_h * (a2 - 1.0) + 1.0;
     let distribution = a2 / (PI * d * d);

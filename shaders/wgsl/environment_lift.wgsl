@@ -1,4 +1,4 @@
-// Video rate: the left eye's panorama as lifted radiance at the size of the reflection map, without the lights.
+// Video rate: the left eye's panorama as lifted radiance at the size of the reflection map, without the narrow lights.
 
 #import "fullscreen.wgsl"
 #import "sh.wgsl"
@@ -6,7 +6,7 @@
 
 struct Lift {
     sh: array<vec4<f32>, 25>,
-    // xyz: direction, w: cosine of half the cone.
+    // To be cut out. xyz: direction, w: cosine of half the cone.
     lights: array<vec4<f32>, 8>,
     size_px: vec2<u32>,
     // Samples along one side of a texel.

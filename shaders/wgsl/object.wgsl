@@ -57,33 +57,61 @@ fn neighbour_ratio(world: vec3<f32>, normal: vec3<f32>, own: u32) -> vec3<f32> {
     return kept;
 }
 
+struct Reflected {
+    radiance: vec3<f32>,
+    // Shares of it that come from the spherical harmonics, which lack every light, and from the map, which lacks
+    // those that are cut out of it.
+    sh_share: f32,
+    map_share: f32,
+}
+
 // Reflected radiance: the maps where the surface is smooth, spherical harmonics where it is rough.
-fn reflected(mirror: vec3<f32>, roughness: f32, footprint_sr: f32) -> vec3<f32> {
+fn reflected(mirror: vec3<f32>, roughness: f32, footprint_sr: f32) -> Reflected {
     if SURFACE == SURFACE_ROUGH {
-        return sh_irradiance(mirror) / PI;
+        return Reflected(sh_irradiance(mirror) / PI, 1.0, 0.0);
     }
     if SURFACE == SURFACE_MIRROR {
-        return lobe_radiance(mirror, roughness, footprint_sr);
+        return Reflected(lobe_radiance(mirror, roughness, footprint_sr), 0.0, lobe_map_share(mirror, roughness, footprint_sr));
     }
     let rough = smoothstep(ROUGH_FROM, ROUGH_TO, roughness);
-    var sum = vec3(0.0);
+    var sum = Reflected(vec3(0.0), rough, 0.0);
     if rough > 0.0 {
-        sum += rough * sh_irradiance(mirror) / PI;
+        sum.radiance += rough * sh_irradiance(mirror) / PI;
     }
     if rough < 1.0 {
-        sum += (1.0 - rough) * lobe_radiance(mirror, roughness, footprint_sr);
+        sum.radiance += (1.0 - rough) * lobe_radiance(mirror, roughness, footprint_sr);
+        sum.map_share = (1.0 - rough) * lobe_map_share(mirror, roughness, footprint_sr);
     }
     return sum;
 }
 
+fn visibility_of_light(index: u32, world: vec3<f32>, normal: vec3<f32>) -> f32 {
+    if index < lighting.shadow_count {
+        return light_visibility(index, world, normal);
+    }
+    return 1.0;
+}
+
 // Clear glass as a solid ball would refract it: in at the surface, out where the inner ray meets the far side.
-fn through_glass(n: vec3<f32>, v: vec3<f32>, tint: vec3<f32>, mirror: vec3<f32>, footprint_sr: f32) -> vec3<f32> {
+fn glass_radiance(world: vec3<f32>, n: vec3<f32>, v: vec3<f32>, tint: vec3<f32>, mirror: vec3<f32>, footprint_sr: f32) -> vec3<f32> {
     let inside = refract(-v, n, 1.0 / GLASS_IOR);
     let far_normal = n - 2.0 * dot(n, inside) * inside;
     let out = refract(inside, -far_normal, GLASS_IOR);
-    let direction = select(reflect(inside, -far_normal), out, dot(out, out) > 0.0);
+    let through = normalize(select(reflect(inside, -far_normal), out, dot(out, out) > 0.0));
     let fresnel = 0.04 + 0.96 * pow(1.0 - max(dot(n, v), 0.0), 5.0);
-    return mix(tint * cone_radiance(normalize(direction), footprint_sr), cone_radiance(mirror, footprint_sr), fresnel);
+    var radiance = mix(tint * cone_radiance(through, footprint_sr), cone_radiance(mirror, footprint_sr), fresnel);
+    let mirror_share = fresnel * map_share(environment_level(mirror, footprint_sr));
+    let through_share = (1.0 - fresnel) * tint * map_share(environment_level(through, footprint_sr));
+    for (var i = 0u; i < lighting.light_count; i++) {
+        let light = lighting.lights[i];
+        let alpha = highlight_alpha(0.0, light.tan_radius, footprint_sr);
+        var highlight = through_share * cone_of_light(dot(through, light.direction), alpha);
+        if dot(n, light.direction) > 0.0 {
+            highlight += mirror_share * cone_of_light(dot(mirror, light.direction), alpha) * visibility_of_light(i, world, n);
+        }
+        radiance += light.irradiance * light.cut * highlight;
+    }
+    return radiance;
 }
 
 @fragment
@@ -107,25 +135,22 @@ fn fs_object(in: ObjectVertex, @builtin(front_facing) front: bool) -> @location(
     metallic = clamp(metallic, 0.0, 1.0);
 
     if SURFACE == SURFACE_GLASS {
-        return vec4(min(through_glass(n, v, albedo, mirror, footprint_sr), vec3(MAX_MAGNITUDE)), 1.0);
+        return vec4(min(glass_radiance(in.world, n, v, albedo, mirror, footprint_sr), vec3(MAX_MAGNITUDE)), 1.0);
     }
     let f0 = mix(vec3(0.04), albedo, metallic);
     let weights = ambient_weights(f0, albedo, metallic, max(dot(n, v), 0.0), roughness);
     let kept = neighbour_ratio(in.world, n, in.object);
-    var radiance = weights.specular * reflected(mirror, roughness, footprint_sr) + weights.diffuse * kept * sh_irradiance(n) / PI;
+    let around = reflected(mirror, roughness, footprint_sr);
+    var radiance = weights.specular * around.radiance + weights.diffuse * kept * sh_irradiance(n) / PI;
 
-    // A mirror shows the light itself in the video; a highlight on top would count it twice.
-    let highlight = smoothstep(MIRROR_FROM, MIRROR_TO, roughness);
     for (var i = 0u; i < lighting.light_count; i++) {
         let light = lighting.lights[i];
         let cosine = dot(n, light.direction);
         if cosine > 0.0 {
-            var visibility = 1.0;
-            if i < lighting.shadow_count {
-                visibility = light_visibility(i, in.world, n);
-            }
-            let specular = ggx_direct(f0, n, v, light.direction, roughness, light.tan_radius) * highlight;
-            radiance += light.irradiance * visibility * (specular + weights.diffuse * cosine / PI);
+            // A highlight for as much of the reflection as lacks the light: on top of the rest it would count twice.
+            let lacking = around.sh_share + light.cut * around.map_share;
+            let specular = lacking * ggx_direct(f0, n, v, light.direction, highlight_alpha(roughness, light.tan_radius, footprint_sr));
+            radiance += light.irradiance * visibility_of_light(i, in.world, n) * (specular + weights.diffuse * cosine / PI);
         }
     }
     return vec4(min(radiance, vec3(MAX_MAGNITUDE)), 1.0);

@@ -18,27 +18,52 @@ fn environment_radiance(direction: vec3<f32>, level: f32) -> vec3<f32> {
     return textureSampleLevel(environment, environment_sampler, uv_from_direction(direction), max(level, 0.0)).rgb;
 }
 
+// Share of a cone of this level that the map serves, which lacks the narrow lights. The rest is the video itself,
+// which shows them.
+fn map_share(level: f32) -> f32 {
+    return clamp(level + 1.0, 0.0, 1.0);
+}
+
 // A cone of this solid angle: the video itself where the cone is finer than the map.
 fn cone_radiance(direction: vec3<f32>, solid_angle_sr: f32) -> vec3<f32> {
     let level = environment_level(direction, solid_angle_sr);
-    if level >= 0.0 {
+    let share = map_share(level);
+    if share == 1.0 {
         return environment_radiance(direction, level);
     }
     let sharp = lifted_from_code(video_code(uv_from_direction(direction), view.eye));
-    if level <= -1.0 {
+    if share == 0.0 {
         return sharp;
     }
-    return mix(environment_radiance(direction, 0.0), sharp, -level);
+    return mix(sharp, environment_radiance(direction, 0.0), share);
 }
 
 // Directions that stand for a lobe.
 const LOBE_TAPS: u32 = 16u;
 
+// Solid angle of the directions that a GGX lobe of this alpha reflects.
+fn lobe_solid_angle(alpha: f32) -> f32 {
+    return 4.0 * PI * alpha * alpha;
+}
+
+fn is_cone(alpha: f32) -> bool {
+    return SURFACE == SURFACE_MIRROR || (SURFACE != SURFACE_GLOSSY && alpha < MIRROR_ALPHA);
+}
+
+// Share of `lobe_radiance` that the map serves.
+fn lobe_map_share(mirror: vec3<f32>, roughness: f32, footprint_sr: f32) -> f32 {
+    let alpha = roughness * roughness;
+    if is_cone(alpha) {
+        return map_share(environment_level(mirror, lobe_solid_angle(alpha) + footprint_sr));
+    }
+    return 1.0;
+}
+
 // GGX lobe of this roughness around the mirror direction; `footprint_sr` is what one pixel spans.
 fn lobe_radiance(mirror: vec3<f32>, roughness: f32, footprint_sr: f32) -> vec3<f32> {
     let alpha = roughness * roughness;
-    let lobe_sr = 4.0 * PI * alpha * alpha;
-    if SURFACE == SURFACE_MIRROR || (SURFACE != SURFACE_GLOSSY && alpha < MIRROR_ALPHA) {
+    let lobe_sr = lobe_solid_angle(alpha);
+    if is_cone(alpha) {
         return cone_radiance(mirror, lobe_sr + footprint_sr);
     }
     // Rays through normals drawn from the GGX distribution, each standing for its share of the lobe.

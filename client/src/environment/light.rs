@@ -50,6 +50,20 @@ pub(crate) fn cos_radius(solid_angle_sr: f32) -> f32 {
     (1.0 - solid_angle_sr / std::f32::consts::TAU).clamp(0.17, 1.0)
 }
 
+/// Half angle from which a light stays in the reflection map, radians. A narrower one is gone between the map's coarser
+/// texels unless it comes back as a highlight, and the SH of the rest hardly know of it. A wider one fills many
+/// texels, each with the radiance that it is to mirror, and leaves a hole in the rest where their SH ring below zero.
+const WIDE: f32 = 8.0 * std::f32::consts::PI / 180.0;
+/// A light's own spread is widened by this before it is cut out, for the blur of lens and codec around it.
+const CUT_MARGIN: f32 = 1.5;
+
+/// Half angle over which a light of this solid angle is cut out of the reflection map, radians; it then comes back as
+/// a highlight. `None` for a wide one, which the map holds and which has no highlight where the map is seen.
+pub(crate) fn cut_radius(solid_angle_sr: f32) -> Option<f32> {
+    let radius = cos_radius(solid_angle_sr).acos();
+    (radius < WIDE).then_some(radius * CUT_MARGIN)
+}
+
 /// Tangent of half the cone of this solid angle.
 pub(crate) fn tan_radius(solid_angle_sr: f32) -> f32 {
     let cosine = cos_radius(solid_angle_sr);
@@ -84,5 +98,18 @@ mod tests {
         let solid_angle = std::f32::consts::TAU * (1.0 - f64::from(radius).cos()) as f32;
         // 1 − cos loses digits in f32: 6 % of such a small angle.
         assert!((tan_radius(solid_angle) / radius.tan() - 1.0).abs() < 0.06);
+    }
+
+    #[test]
+    fn only_narrow_lights_are_cut_out_of_reflections() {
+        let solid_angle = |half_angle_deg: f32| std::f32::consts::TAU * (1.0 - half_angle_deg.to_radians().cos());
+        for half_angle_deg in [1.0, 3.0, 7.9] {
+            let cut = cut_radius(solid_angle(half_angle_deg)).unwrap().to_degrees();
+            // 1 − cos of 1° has lost three of seven digits.
+            assert!((cut / (1.5 * half_angle_deg) - 1.0).abs() < 1e-3, "{half_angle_deg}: {cut}");
+        }
+        for half_angle_deg in [8.1, 30.0, 66.0, 180.0] {
+            assert_eq!(cut_radius(solid_angle(half_angle_deg)), None, "{half_angle_deg}");
+        }
     }
 }

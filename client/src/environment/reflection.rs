@@ -1,4 +1,4 @@
-//! The reflection map: the left eye's panorama, lifted, without the lights, with a full chain of mips.
+//! The reflection map: the left eye's panorama, lifted, without the narrow lights, with a full chain of mips.
 
 use std::collections::HashMap;
 
@@ -6,7 +6,7 @@ use bytemuck::Zeroable;
 use mr360_shaders::layout;
 use mr360_shaders::source::Module;
 
-use super::light::{FrameLight, cos_radius};
+use super::light::{FrameLight, cut_radius};
 use super::{VideoKind, sampler_entry, texture_entry};
 use crate::gpu::{Gpu, GpuError};
 use crate::view::timing::PassTimer;
@@ -16,8 +16,6 @@ const WIDTH: u32 = 256;
 const HEIGHT: u32 = 128;
 const LEVELS: u32 = WIDTH.ilog2() + 1;
 const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
-/// A light's own spread is widened by this before it is cut out, for the blur of lens and codec around it.
-const CUT_MARGIN: f32 = 1.5;
 
 pub(super) struct ReflectionMap {
     levels: Vec<wgpu::TextureView>,
@@ -168,19 +166,20 @@ fn lift_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     })
 }
 
-/// Bilinear samples that each cover two video texels, enough of them for a texel of the map, at most 4 × 4.
+/// Bilinear samples that each cover two video texels, enough of them for a texel of the map, at most 4 × 4; and the
+/// lights to cut out.
 fn lift_uniform(eye_width: u32, light: &FrameLight) -> layout::Lift {
     let mut uniform = layout::Lift {
         sh: light.sh.map(|c| c.extend(0.0).to_array()),
         size_px: [WIDTH, HEIGHT],
         samples: eye_width.div_ceil(2 * WIDTH).clamp(1, 4),
-        light_count: light.lights.len() as u32,
         ..layout::Lift::zeroed()
     };
-    for (slot, light) in uniform.lights.iter_mut().zip(&light.lights) {
-        let texel = std::f32::consts::TAU / WIDTH as f32;
-        let radius = cos_radius(light.solid_angle_sr).acos() * CUT_MARGIN + texel;
-        *slot = light.direction.extend(radius.cos()).to_array();
+    let texel = std::f32::consts::TAU / WIDTH as f32;
+    let cut = light.lights.iter().filter_map(|light| Some((light.direction, cut_radius(light.solid_angle_sr)? + texel)));
+    for (slot, (direction, radius)) in uniform.lights.iter_mut().zip(cut) {
+        *slot = direction.extend(radius.cos()).to_array();
+        uniform.light_count += 1;
     }
     uniform
 }

@@ -40,14 +40,20 @@ impl Queue {
             (Action::Release(_), Some(Action::Release(_))) => last,
             // A drag that waits whole goes on: let go of and taken hold of again it would be the same.
             (Action::Grab(_), Some(Action::Release(_))) if matches!(waits(before), Some(Action::Grab(_) | Action::Move(..))) => {
-                last.into_iter().for_each(|index| drop(self.waiting.remove(index)));
+                self.forget(last);
                 return;
             }
             _ => None,
         };
-        overtaken.into_iter().for_each(|index| drop(self.waiting.remove(index)));
+        self.forget(overtaken);
         // At the end, where its number belongs: a lower one that comes later is dropped by the server.
         self.waiting.push_back(Intent { sequence: self.sequence, action });
+    }
+
+    fn forget(&mut self, waiting: Option<usize>) {
+        if let Some(index) = waiting {
+            self.waiting.remove(index);
+        }
     }
 }
 

@@ -11,6 +11,8 @@ mod pipelines;
 pub mod plan;
 #[cfg(test)]
 mod probe_tests;
+#[cfg(test)]
+mod reflection_tests;
 mod resources;
 pub mod shadows;
 mod stage;

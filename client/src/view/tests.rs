@@ -17,7 +17,7 @@ use crate::render::{Still, ambient_light};
 
 const SIZE: (u32, u32) = (160, 90);
 
-fn panorama(width: u32, height: u32, radiance: impl Fn(Vec3) -> Vec3) -> Picture {
+pub(super) fn panorama(width: u32, height: u32, radiance: impl Fn(Vec3) -> Vec3) -> Picture {
     let texel = |i: u32| {
         let uv = Vec2::new(((i % width) as f32 + 0.5) / width as f32, ((i / width) as f32 + 0.5) / height as f32);
         let [r, g, b] = radiance(direction_from_uv(uv)).to_array().map(f16::from_f32);

@@ -19,7 +19,7 @@ use super::recovery::recover;
 use super::regions::{Regions, Topology, most_regions};
 use super::sampling::Grid;
 use super::track::{Bounds, Coarse, MOST_OBSERVATIONS, Observation, Tracker, View};
-use super::{Estimate, LUMA, LightError, LightMethod, StepTimes};
+use super::{Estimate, LightError, LightMethod, StepTimes};
 use crate::frame::Frame;
 
 /// Working panorama.

@@ -8,7 +8,6 @@
 use glam::{DVec3, Vec3};
 use mr360_shaders::colour::{LUMA, luminance};
 
-use super::super::LUMA;
 use super::super::panorama::Panorama;
 
 /// Columns of the coarse panorama.
