@@ -1,8 +1,8 @@
 //! Light, measured: accuracy against time for every method on true panoramas, and the share of a core that large live frames take.
 //!
-//! Accuracy: [`radiance_map`] finds and splits the panoramas, [`exposure`] makes frames of them, [`truth`] says what is true,
-//! [`irradiance`], [`score`] and [`rendered`] measure, [`race`] runs every method and the [`opencv`] peer in turn, [`report`] writes it down.
-//! [`large_frames`] is the other part.
+//! Accuracy: `radiance_map` finds and splits the panoramas, `exposure` makes frames of them, `truth` says what is true,
+//! `irradiance`, `score` and `rendered` measure, `race` runs every method and the `opencv` peer in turn, `report` writes it down.
+//! `large_frames` is the other part.
 
 use std::fs;
 use std::path::PathBuf;
