@@ -184,11 +184,12 @@ mod tests {
         assert_eq!(rows.len(), 12);
         for row in &rows {
             let (hdr, lights) = (row.exposure == Exposure::Hdr, row.method != "sh:9");
-            assert_eq!((row.panorama.as_str(), row.half, row.lights > 0), ("sun", Half::Tune, lights), "{row:?}");
+            assert_eq!((row.panorama.as_str(), row.half), ("sun", Half::Tune), "{row:?}");
             match row.score.dominant {
                 // A disc of 4° that stands alone, at a resolution of 1.4°.
-                Dominant::OffDeg(off) => assert!(lights && off < 1.0, "{row:?}"),
-                missed => assert!(!lights && missed == Dominant::NoLight, "{row:?}"),
+                Dominant::OffDeg(off) => assert!(lights && (off < 1.0 || !hdr), "{row:?}"),
+                // White at a percentile is the sky's own here: methods may see no sun in front of it.
+                missed => assert!(!(lights && hdr) && missed == Dominant::NoLight, "{row:?}"),
             }
             // True HDR is met within a few per cent; harmonics of the clipped sky lack the sun, a third of all irradiance.
             assert!(!hdr || row.score.absolute < 0.05, "{row:?}");
