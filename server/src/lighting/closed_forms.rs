@@ -13,6 +13,7 @@ use mr360_shaders::colour::radiance_from_code;
 use mr360_shaders::equirect::{direction_from_uv, pixel_solid_angle_sr};
 use mr360_shaders::sh;
 
+use super::sequences::Noise;
 use super::{Directional, Estimate, Iorns, LightMethod, MOST_LIGHTS, Mr360, StepTimes};
 use crate::frame::{Frame, Pixels};
 
@@ -363,18 +364,6 @@ fn black_frame_is_dark() {
                 assert!(estimate.lights.is_empty() && estimate.sh.iter().all(|c| c.abs().max_element() < 1e-6), "{estimate:?}");
             }
         }
-    }
-}
-
-/// A small deterministic generator (xorshift), so that a failure can be repeated.
-struct Noise(u64);
-
-impl Noise {
-    fn next(&mut self) -> f32 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        (self.0 >> 40) as f32 / (1u64 << 24) as f32
     }
 }
 

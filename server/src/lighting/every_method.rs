@@ -9,6 +9,7 @@ use mr360_shaders::colour::luminance;
 use mr360_shaders::equirect::pixel_solid_angle_sr;
 use mr360_shaders::sh;
 
+use super::sequences::Noise;
 use super::test_skies::{Disc, energy, estimate_with, frame, irradiance, normals, sky};
 use super::{Estimate, LightMethod, MethodSpec};
 use crate::frame::{Frame, Pixels};
@@ -34,18 +35,6 @@ fn degrees(a: Vec3, b: Vec3) -> f32 {
 
 fn relative(got: Vec3, expected: Vec3) -> f32 {
     ((got - expected) / expected).abs().max_element()
-}
-
-/// A small deterministic generator (xorshift), so that a failure can be repeated.
-struct Noise(u64);
-
-impl Noise {
-    fn next(&mut self) -> f32 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        (self.0 >> 40) as f32 / (1u64 << 24) as f32
-    }
 }
 
 /// Mostly dim, now and then up to thousands; and its energy.

@@ -174,11 +174,11 @@ impl Sequence {
     }
 }
 
-/// A small deterministic generator (xorshift), so that every run sees the same grain.
-struct Noise(u64);
+/// A small deterministic generator (xorshift), so that every run sees the same grain. Values in [0, 1).
+pub(super) struct Noise(pub(super) u64);
 
 impl Noise {
-    fn next(&mut self) -> f32 {
+    pub(super) fn next(&mut self) -> f32 {
         self.0 ^= self.0 << 13;
         self.0 ^= self.0 >> 7;
         self.0 ^= self.0 << 17;
