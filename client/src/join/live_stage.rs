@@ -113,10 +113,10 @@ impl LiveStage {
         let Some((_, renderer)) = &mut self.renderer else { return };
         // Without light there is nothing to show objects by. They stay on the GPU: the light may be back with the next picture.
         renderer.set_visible(self.lit);
-        let state = self.shared.snapshot();
-        if self.shown == Some(state.version) {
+        if self.shown == Some(self.shared.lock().version) {
             return;
         }
+        let state = self.shared.snapshot();
         for warning in renderer.set_scene(&self.gpu, &state.scene, &|id| state.models.get(&id).cloned()) {
             let text = warning.to_string();
             if self.warned.insert(warning.object, text.clone()).as_ref() != Some(&text) {
