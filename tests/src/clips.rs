@@ -33,15 +33,29 @@ pub fn stereo(sandbox: &Sandbox, name: &str, kbits: u32) -> Result<PathBuf> {
     )
 }
 
+const QUIET: [&str; 5] = ["-hide_banner", "-nostdin", "-loglevel", "error", "-y"];
+
 /// Runs `ffmpeg ARGUMENTS… NAME` and returns the path of the file it made in the sandbox. `arguments` are parted by white space.
 ///
 /// # Errors
 /// When ffmpeg is missing or fails.
 pub fn make(sandbox: &Sandbox, name: &str, arguments: &str) -> Result<PathBuf> {
-    let path = sandbox.path(name);
+    write(sandbox, name, Command::new("ffmpeg").args(QUIET).args(arguments.split_whitespace()))
+}
+
+/// As [`make`], of a video that is repeated without end.
+///
+/// # Errors
+/// When ffmpeg is missing or fails.
+pub fn make_of(sandbox: &Sandbox, name: &str, video: &Path, arguments: &str) -> Result<PathBuf> {
     let mut command = Command::new("ffmpeg");
-    command.args(["-hide_banner", "-nostdin", "-loglevel", "error", "-y"]).args(arguments.split_whitespace()).arg(&path);
-    run(&mut command, &path)?;
+    command.args(QUIET).args(["-stream_loop", "-1", "-i"]).arg(video).args(arguments.split_whitespace());
+    write(sandbox, name, &mut command)
+}
+
+fn write(sandbox: &Sandbox, name: &str, command: &mut Command) -> Result<PathBuf> {
+    let path = sandbox.path(name);
+    run(command.arg(&path), &path)?;
     Ok(path)
 }
 

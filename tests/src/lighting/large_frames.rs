@@ -38,12 +38,11 @@ pub(super) fn run(options: &Options) -> Result<String> {
     let (width, height) = options.size;
     eprintln!("lighting: making {} frames of {width}×{height}", options.frames + 1);
     let make = format!(
-        "-stream_loop -1 -i {} -an -vf crop=iw:ih/2:0:0,scale={width}:{height},fps={FRAME_RATE} -frames:v {} \
+        "-an -vf crop=iw:ih/2:0:0,scale={width}:{height},fps={FRAME_RATE} -frames:v {} \
          -c:v libx264 -preset veryfast -crf 20 -bf 0 -g {FRAME_RATE} -pix_fmt yuv420p",
-        clip.display(),
         options.frames + 1
     );
-    let source = clips::make(&sandbox, "large.mp4", &make)?;
+    let source = clips::make_of(&sandbox, "large.mp4", &clip, &make)?;
     eprintln!("lighting: measuring");
     let mut analyze = sandbox.server_command()?;
     analyze.args(["analyze", "--json", "--stereo", "mono", "--method", &options.method]).arg(&source);
