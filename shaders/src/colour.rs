@@ -4,7 +4,8 @@
 //! and PQ that is the reference white of BT.2408, 203 cd/m².
 
 use glam::{Mat3, Vec3};
-use mr360_protocol::light::{Lift, MAX_MAGNITUDE};
+pub use mr360_protocol::light::LUMA;
+use mr360_protocol::light::{Lift, MAX_MAGNITUDE, Recovery};
 use mr360_protocol::video::{Colour, Matrix, Primaries, Transfer};
 
 /// Reference white of HDR video, cd/m² (ITU-R BT.2408).
@@ -19,9 +20,6 @@ pub(crate) const HLG_ABC: [f32; 3] = [0.178_832_77, 1.0 - 4.0 * 0.178_832_77, 0.
 pub(crate) const PQ_M: [f32; 2] = [2610.0 / 16384.0, 2523.0 / 4096.0 * 128.0];
 /// c1, c2 and c3 of PQ (SMPTE ST 2084).
 pub(crate) const PQ_C: [f32; 3] = [3424.0 / 4096.0, 2413.0 / 4096.0 * 32.0, 2392.0 / 4096.0 * 32.0];
-
-/// Weights of relative luminance in linear BT.709 and of luma in BT.709 R'G'B' (ITU-R BT.709).
-pub const LUMA: Vec3 = Vec3::new(0.2126, 0.7152, 0.0722);
 
 /// Relative luminance of linear BT.709.
 #[must_use]
@@ -146,16 +144,43 @@ pub fn iorns_factor(code: Vec3) -> f32 {
     IORNS_GAIN * code.dot(IORNS_LUMA).max(0.0).powi(IORNS_EXPONENT) + IORNS_BASE
 }
 
-/// Radiance of a code value under a lift, linear BT.709, in [0, [`MAX_MAGNITUDE`]].
+/// A channel is clipped by a degree that rises smoothly from the first to the second of these shares of display white. They are the codes
+/// 0.966 and 0.996 of BT.1886: 8-bit grain and the rounding of a codec about white move the degree by a fraction.
+pub const CLIPPED: (f32, f32) = (0.92, 0.99);
+
+/// By how much each channel of linear radiance is clipped, in [0, 1].
+#[must_use]
+pub fn clipped_degree(linear: Vec3) -> Vec3 {
+    let (first, last) = CLIPPED;
+    let t = ((linear - first) / (last - first)).clamp(Vec3::ZERO, Vec3::ONE);
+    t * t * (3.0 - 2.0 * t)
+}
+
+/// Colour of what a recovery adds, of luminance 1.
+#[must_use]
+pub fn recovery_tint(recovery: &Recovery) -> Vec3 {
+    let [red, blue] = recovery.tint_ln;
+    let tint = Vec3::new(red.exp(), 1.0, blue.exp());
+    tint / luminance(tint)
+}
+
+/// Linear radiance with what clipping took from it, as the recovery says.
+#[must_use]
+pub fn recovered(recovery: &Recovery, direction: Vec3, linear: Vec3) -> Vec3 {
+    let added = luminance(linear * clipped_degree(linear)) * recovery.gain(direction);
+    linear + added * recovery_tint(recovery)
+}
+
+/// Radiance of a code value under a lift, linear BT.709, in [0, [`MAX_MAGNITUDE`]]; `direction` is where its pixel looks.
 ///
-/// HDR transfers carry their own highlights, so [`Lift::Highlights`] leaves them as they are. The papers'
+/// HDR transfers carry their own highlights, so [`Lift::Recovered`] leaves them as they are. The papers'
 /// operator works on the code values themselves, whatever their transfer.
 ///
 /// Codes of a transfer other than linear are clamped to [0, 1] first. Limited-range video can hold more (255 of 8 bits
 /// is 1.09), but there it is the ringing of filters and codecs, not measured light, and no transfer says what it means;
 /// the operators' tenth power would make it 2.65 times as bright as white.
 #[must_use]
-pub fn radiance_from_code(lift: Lift, colour: Colour, code: Vec3) -> Vec3 {
+pub fn radiance_from_code(lift: Lift, colour: Colour, direction: Vec3, code: Vec3) -> Vec3 {
     let code = if colour.transfer == Transfer::Linear { code } else { code.clamp(Vec3::ZERO, Vec3::ONE) };
     let linear = || {
         let linear = bt709_from_primaries(colour.primaries) * decode_transfer(colour.transfer, code);
@@ -164,8 +189,10 @@ pub fn radiance_from_code(lift: Lift, colour: Colour, code: Vec3) -> Vec3 {
     match lift {
         Lift::Linear => linear(),
         Lift::InverseToneMap => code.max(Vec3::ZERO) * iorns_factor(code),
-        Lift::Highlights if matches!(colour.transfer, Transfer::Bt709 | Transfer::Srgb) => linear() * (iorns_factor(code) / IORNS_BASE),
-        Lift::Highlights => linear(),
+        Lift::Recovered(recovery) if matches!(colour.transfer, Transfer::Bt709 | Transfer::Srgb) => {
+            recovered(&recovery, direction, linear()).min(Vec3::splat(MAX_MAGNITUDE))
+        }
+        Lift::Recovered(_) => linear(),
     }
 }
 
@@ -226,25 +253,43 @@ mod tests {
     #[test]
     fn codes_outside_the_range_are_as_bright_as_its_ends() {
         for transfer in [Transfer::Bt709, Transfer::Srgb, Transfer::Pq, Transfer::Hlg] {
-            for lift in [Lift::Linear, Lift::InverseToneMap, Lift::Highlights] {
-                let radiance = |code| radiance_from_code(lift, Colour { transfer, ..Colour::default() }, code);
+            for lift in [Lift::Linear, Lift::InverseToneMap, Lift::Recovered(Recovery { gain_ln: 1.0, ..Recovery::default() })] {
+                let radiance = |code| radiance_from_code(lift, Colour { transfer, ..Colour::default() }, Vec3::Y, code);
                 assert_eq!(radiance(Vec3::splat(239.0 / 219.0)), radiance(Vec3::ONE), "{transfer:?} {lift:?}");
                 assert_eq!(radiance(Vec3::new(1.09, 0.4, -0.07)), radiance(Vec3::new(1.0, 0.4, 0.0)), "{transfer:?} {lift:?}");
             }
         }
         // Linear codes are light: all that is above white is meant.
         let radiance =
-            |code| radiance_from_code(Lift::Linear, Colour { transfer: Transfer::Linear, ..Colour::default() }, Vec3::splat(code));
+            |code| radiance_from_code(Lift::Linear, Colour { transfer: Transfer::Linear, ..Colour::default() }, Vec3::Y, Vec3::splat(code));
         assert_eq!([-1.0, 7.0, 1e9].map(|code| radiance(code).x), [0.0, 7.0, MAX_MAGNITUDE]);
     }
 
     #[test]
     fn inverse_tone_map_at_the_papers_points() {
         let colour = Colour::default();
-        assert!(close(radiance_from_code(Lift::InverseToneMap, colour, Vec3::ONE), Vec3::splat(11.8), 1e-5));
-        let grey = radiance_from_code(Lift::InverseToneMap, colour, Vec3::splat(0.5));
+        assert!(close(radiance_from_code(Lift::InverseToneMap, colour, Vec3::Y, Vec3::ONE), Vec3::splat(11.8), 1e-5));
+        let grey = radiance_from_code(Lift::InverseToneMap, colour, Vec3::Y, Vec3::splat(0.5));
         assert!(close(grey, Vec3::splat(0.5 * (10.0 * 0.5f32.powi(10) + 1.8)), 1e-5));
-        let grey = radiance_from_code(Lift::Highlights, colour, Vec3::splat(0.2));
-        assert!((grey.x / 0.2f32.powf(2.4) - 1.0).abs() < 1e-5);
+    }
+
+    #[test]
+    fn a_recovery_adds_its_gain_where_channels_are_clipped_and_nothing_else() {
+        let recovery = Recovery { gain_ln: 1.0, slope: Vec3::new(0.0, 0.5, 0.0), tint_ln: [0.2, -0.3] };
+        let at = |direction, linear: [f32; 3]| recovered(&recovery, direction, Vec3::from_array(linear));
+        assert_eq!(at(Vec3::Y, [0.92, 0.5, 0.0]), Vec3::new(0.92, 0.5, 0.0));
+        // All of white: its luminance times the gain of its direction.
+        for (direction, gain) in [(Vec3::Y, 1.5f32.exp()), (Vec3::NEG_Y, 0.5f32.exp()), (Vec3::X, 1f32.exp())] {
+            let white = at(direction, [1.0; 3]);
+            assert!((luminance(white) / (1.0 + gain) - 1.0).abs() < 1e-5, "{white}");
+            let added = white - 1.0;
+            assert!(((added.x / added.y).ln() - 0.2).abs() < 1e-4 && ((added.z / added.y).ln() + 0.3).abs() < 1e-4, "{added}");
+        }
+        // Of a pixel whose red alone is clipped, red's luminance.
+        let red = at(Vec3::X, [1.0, 0.5, 0.5]) - Vec3::new(1.0, 0.5, 0.5);
+        assert!((luminance(red) / (0.2126 * 1f32.exp()) - 1.0).abs() < 1e-4, "{red}");
+        // Half way up the ramp, by half.
+        let half = at(Vec3::X, [0.955, 0.0, 0.0]);
+        assert!((luminance(half - Vec3::new(0.955, 0.0, 0.0)) / (0.5 * 0.955 * 0.2126 * 1f32.exp()) - 1.0).abs() < 1e-3, "{half}");
     }
 }

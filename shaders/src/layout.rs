@@ -3,6 +3,9 @@
 //! The tests compare every offset and size with what the shader compiler makes of the WGSL.
 
 use bytemuck::{Pod, Zeroable};
+use mr360_protocol::light;
+
+use crate::colour::recovery_tint;
 
 /// Most lights that shade a surface one by one.
 pub const SHADED_LIGHTS: usize = 8;
@@ -137,6 +140,37 @@ pub struct Video {
     pub yuv_offset: [f32; 3],
     /// In frame widths.
     pub chroma_shift_u: f32,
+    /// In use with its lift.
+    pub recovery: Recovery,
+}
+
+/// `Recovery`: what clipping took from the frame, as a curve.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub struct Recovery {
+    /// Of the gain's natural logarithm along a direction.
+    pub slope: [f32; 3],
+    /// The logarithm's mean over the sphere.
+    pub gain_ln: f32,
+    /// Of luminance 1.
+    pub tint: [f32; 3],
+    /// Unused.
+    pub padding: f32,
+}
+
+/// The curve that a lift asks for; all zero for one that recovers nothing.
+impl From<light::Lift> for Recovery {
+    fn from(lift: light::Lift) -> Self {
+        match lift {
+            light::Lift::Recovered(recovery) => Self {
+                slope: recovery.slope.to_array(),
+                gain_ln: recovery.gain_ln,
+                tint: recovery_tint(&recovery).to_array(),
+                padding: 0.0,
+            },
+            light::Lift::Linear | light::Lift::InverseToneMap => Self::zeroed(),
+        }
+    }
 }
 
 /// `Lift`: what the reflection map is made with.
@@ -189,6 +223,8 @@ pub struct Probe {
     pub lift: u32,
     /// Columns.
     pub bt709_from_primaries: [[f32; 4]; 3],
+    /// In use with its lift.
+    pub recovery: Recovery,
 }
 
 /// `ProbeResult`: the kernels' answer.
@@ -273,10 +309,11 @@ mod tests {
         );
         mirrors!(Object, Occluder { center, radius, albedo, object });
         mirrors!(Object, Instance { world_from_object, normal_from_object, base_color, roughness, metallic, glass, object, padding });
-        mirrors!(Object, Video { rgb_from_yuv, bt709_from_primaries, eye_rect, yuv_offset, chroma_shift_u });
+        mirrors!(Object, Video { rgb_from_yuv, bt709_from_primaries, eye_rect, yuv_offset, chroma_shift_u, recovery });
+        mirrors!(Object, Recovery { slope, gain_ln, tint, padding });
         mirrors!(EnvironmentLift, Lift { sh, lights, size_px, samples, light_count });
         mirrors!(Caster, Caster { clip_from_world });
-        mirrors!(Probe, Probe { direction, transfer, code, lift, bt709_from_primaries });
+        mirrors!(Probe, Probe { direction, transfer, code, lift, bt709_from_primaries, recovery });
         mirrors!(Probe, ProbeResult { irradiance, u, linear, v, round_trip, padding, lifted, padding_2 });
     }
 }

@@ -6,7 +6,7 @@
 use std::f32::consts::PI;
 use std::fmt::Write as _;
 
-use mr360_protocol::light::{Lift, MAX_MAGNITUDE};
+use mr360_protocol::light::{Lift, MAX_GAIN_LN, MAX_MAGNITUDE, Recovery};
 use mr360_protocol::video::Transfer;
 
 use crate::layout::{MAX_OCCLUDERS, SHADOW_MAP_SIZE};
@@ -178,7 +178,7 @@ pub fn lift_index(lift: Lift) -> u32 {
     match lift {
         Lift::Linear => 0,
         Lift::InverseToneMap => 1,
-        Lift::Highlights => 2,
+        Lift::Recovered(_) => 2,
     }
 }
 
@@ -205,6 +205,9 @@ fn prelude() -> String {
         ("IORNS_EXPONENT", colour::IORNS_EXPONENT as f32),
         ("IORNS_BASE", colour::IORNS_BASE),
         ("MAX_MAGNITUDE", MAX_MAGNITUDE),
+        ("MAX_GAIN_LN", MAX_GAIN_LN),
+        ("CLIPPED_FIRST", colour::CLIPPED.0),
+        ("CLIPPED_LAST", colour::CLIPPED.1),
         ("OCCLUDER_REACH", OCCLUDER_REACH),
         ("GROUND_EXTENT_M", GROUND_EXTENT_M),
         ("ROUGH_FROM", ROUGH_FROM),
@@ -230,12 +233,13 @@ fn prelude() -> String {
         ("SURFACE_GLOSSY", Surface::Glossy.index()),
         ("SURFACE_GLASS", Surface::Glass.index()),
         ("LIFT_INVERSE_TONE_MAP", lift_index(Lift::InverseToneMap)),
-        ("LIFT_HIGHLIGHTS", lift_index(Lift::Highlights)),
+        ("LIFT_RECOVERED", lift_index(Lift::Recovered(Recovery::default()))),
     ] {
         let _ = writeln!(text, "const {name}: u32 = {value}u;");
     }
-    let luma = colour::IORNS_LUMA;
-    let _ = writeln!(text, "const IORNS_LUMA: vec3<f32> = vec3({:?}, {:?}, {:?});", luma.x, luma.y, luma.z);
+    for (name, luma) in [("IORNS_LUMA", colour::IORNS_LUMA), ("LUMA", colour::LUMA)] {
+        let _ = writeln!(text, "const {name}: vec3<f32> = vec3({:?}, {:?}, {:?});", luma.x, luma.y, luma.z);
+    }
     for (name, band) in [("IRRADIANCE_BAND", sh::IRRADIANCE_BAND), ("RADIANCE_BAND", [1.0; 5])] {
         let values = band.map(|value| format!("{value:?}")).join(", ");
         let _ = writeln!(text, "const {name} = array<f32, 5>({values});");

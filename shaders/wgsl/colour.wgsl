@@ -43,16 +43,40 @@ fn iorns_factor(code: vec3<f32>) -> f32 {
     return IORNS_GAIN * pow(max(dot(code, IORNS_LUMA), 0.0), IORNS_EXPONENT) + IORNS_BASE;
 }
 
+// What clipping took from a frame; twin of colour::recovered.
+struct Recovery {
+    // What the logarithm of the gain gains along a direction.
+    slope: vec3<f32>,
+    // Its mean over the sphere.
+    gain_ln: f32,
+    // Of luminance 1.
+    tint: vec3<f32>,
+    padding: f32,
+}
+
+fn recovered(recovery: Recovery, direction: vec3<f32>, linear: vec3<f32>) -> vec3<f32> {
+    let degree = smoothstep(vec3(CLIPPED_FIRST), vec3(CLIPPED_LAST), linear);
+    let gain = exp(min(recovery.gain_ln + dot(recovery.slope, direction), MAX_GAIN_LN));
+    return min(linear + dot(linear * degree, LUMA) * gain * recovery.tint, vec3(MAX_MAGNITUDE));
+}
+
 // Radiance that lights are taken from; twin of colour::radiance_from_code, which says why codes are clamped.
-fn radiance_from_code(lift: u32, transfer: u32, bt709_from_primaries: mat3x3<f32>, code: vec3<f32>) -> vec3<f32> {
+fn radiance_from_code(
+    lift: u32,
+    recovery: Recovery,
+    transfer: u32,
+    bt709_from_primaries: mat3x3<f32>,
+    direction: vec3<f32>,
+    code: vec3<f32>,
+) -> vec3<f32> {
     let bounded = select(clamp(code, vec3(0.0), vec3(1.0)), code, transfer == TRANSFER_LINEAR);
     if lift == LIFT_INVERSE_TONE_MAP {
         return max(bounded, vec3(0.0)) * iorns_factor(bounded);
     }
     let linear = linear_from_code(transfer, bt709_from_primaries, bounded);
     let standard = transfer == TRANSFER_BT709 || transfer == TRANSFER_SRGB;
-    if lift == LIFT_HIGHLIGHTS && standard {
-        return linear * (iorns_factor(bounded) / IORNS_BASE);
+    if lift == LIFT_RECOVERED && standard {
+        return recovered(recovery, direction, linear);
     }
     return linear;
 }

@@ -23,16 +23,16 @@ fn sh_at(index: u32) -> vec3<f32> {
 @fragment
 fn fs_lift(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
     let size = vec2<f32>(lift.size_px);
+    let direction = direction_from_uv(at.xy / size);
     var sum = vec3(0.0);
     for (var y = 0u; y < lift.samples; y++) {
         for (var x = 0u; x < lift.samples; x++) {
             let offset = (vec2(f32(x), f32(y)) + 0.5) / f32(lift.samples) - 0.5;
-            sum += lifted_from_code(video_code((at.xy + offset) / size, 0u));
+            sum += lifted_from_code(direction, video_code((at.xy + offset) / size, 0u));
         }
     }
     var radiance = min(sum / f32(lift.samples * lift.samples), vec3(MAX_MAGNITUDE));
     // A light comes back as its own highlight: what is left in its place is the residual, which the SH hold.
-    let direction = direction_from_uv(at.xy / size);
     var within = false;
     for (var i = 0u; i < lift.light_count; i++) {
         within = within || dot(direction, lift.lights[i].xyz) >= lift.lights[i].w;

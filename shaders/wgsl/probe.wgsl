@@ -10,6 +10,7 @@ struct Probe {
     code: vec3<f32>,
     lift: u32,
     bt709_from_primaries: mat3x3<f32>,
+    recovery: Recovery,
 }
 
 struct ProbeResult {
@@ -40,6 +41,13 @@ fn cs_probe(@builtin(global_invocation_id) id: vec3<u32>) {
     let uv = uv_from_direction(probe.direction);
     let irradiance = max(sh_sum(25u, probe.direction, IRRADIANCE_BAND), vec3(0.0));
     let linear = decode_transfer(probe.transfer, probe.code);
-    let lifted = radiance_from_code(probe.lift, probe.transfer, probe.bt709_from_primaries, probe.code);
+    let lifted = radiance_from_code(
+        probe.lift,
+        probe.recovery,
+        probe.transfer,
+        probe.bt709_from_primaries,
+        probe.direction,
+        probe.code,
+    );
     results[id.x] = ProbeResult(irradiance, uv.x, linear, uv.y, direction_from_uv(uv), 0.0, lifted, 0.0);
 }

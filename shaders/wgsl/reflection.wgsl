@@ -31,7 +31,7 @@ fn cone_radiance(direction: vec3<f32>, solid_angle_sr: f32) -> vec3<f32> {
     if share == 1.0 {
         return environment_radiance(direction, level);
     }
-    let sharp = lifted_from_code(video_code(uv_from_direction(direction), view.eye));
+    let sharp = lifted_from_code(direction, video_code(uv_from_direction(direction), view.eye));
     if share == 0.0 {
         return sharp;
     }

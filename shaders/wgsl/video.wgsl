@@ -14,6 +14,7 @@ struct Video {
     yuv_offset: vec3<f32>,
     // Added to u before chroma is sampled: chroma sited on the left luma column (ITU-T H.273 type 0).
     chroma_shift_u: f32,
+    recovery: Recovery,
 }
 
 // Transfer function of the code values.
@@ -71,7 +72,7 @@ fn video_radiance(direction: vec3<f32>, eye: u32) -> vec3<f32> {
     return linear_from_code(TRANSFER, video.bt709_from_primaries, video_code(uv_from_direction(direction), eye));
 }
 
-// The radiance that lights are taken from.
-fn lifted_from_code(code: vec3<f32>) -> vec3<f32> {
-    return radiance_from_code(LIFT, TRANSFER, video.bt709_from_primaries, code);
+// The radiance that lights are taken from, of a pixel that looks in this direction.
+fn lifted_from_code(direction: vec3<f32>, code: vec3<f32>) -> vec3<f32> {
+    return radiance_from_code(LIFT, video.recovery, TRANSFER, video.bt709_from_primaries, direction, code);
 }

@@ -57,6 +57,8 @@ pub struct Environment {
     layout: wgpu::BindGroupLayout,
     sampler: wgpu::Sampler,
     uniform: wgpu::Buffer,
+    /// What `uniform` holds.
+    video: layout::Video,
     kind: VideoKind,
     planes: Planes,
     bind_group: wgpu::BindGroup,
@@ -93,7 +95,7 @@ impl Environment {
         gpu.queue.write_buffer(&uniform, 0, bytemuck::bytes_of(&video));
         let kind =
             VideoKind { transfer: transfer_index(Transfer::Linear), planar: false, whole_width: true, lift: lift_index(Lift::Linear) };
-        Ok(Self { layout, sampler, uniform, kind, planes, bind_group, eye_width: 1, reflections, reflections_stale: true })
+        Ok(Self { layout, sampler, uniform, video, kind, planes, bind_group, eye_width: 1, reflections, reflections_stale: true })
     }
 
     /// Puts the next picture on the GPU. Textures are kept while size and format stay.
@@ -107,14 +109,20 @@ impl Environment {
         }
         self.eye_width = picture.stereo.eye_size(picture.width, picture.height).0;
         self.kind = VideoKind::new(picture, self.kind.lift);
-        gpu.queue.write_buffer(&self.uniform, 0, bytemuck::bytes_of(&video_uniform(picture, self.planes.code_scale())));
+        self.video = layout::Video { recovery: self.video.recovery, ..video_uniform(picture, self.planes.code_scale()) };
+        gpu.queue.write_buffer(&self.uniform, 0, bytemuck::bytes_of(&self.video));
         self.reflections_stale = true;
         Ok(())
     }
 
     /// Takes the light that belongs to the picture: its lift, and the lights to leave out of reflections.
-    pub(crate) fn set_light(&mut self, light: &FrameLight) {
+    pub(crate) fn set_light(&mut self, gpu: &Gpu, light: &FrameLight) {
         self.kind.lift = lift_index(light.lift);
+        let recovery = light.lift.into();
+        if self.video.recovery != recovery {
+            self.video.recovery = recovery;
+            gpu.queue.write_buffer(&self.uniform, 0, bytemuck::bytes_of(&self.video));
+        }
         self.reflections_stale = true;
     }
 
@@ -160,6 +168,7 @@ fn video_uniform(picture: &Picture, code_scale: f32) -> layout::Video {
                 eye_rect,
                 yuv_offset: (offset / code_scale).to_array(),
                 chroma_shift_u: if subsampled { 0.5 / picture.width as f32 } else { 0.0 },
+                recovery: layout::Recovery::zeroed(),
             }
         }
         Samples::Rgba16F { .. } => layout::Video { bt709_from_primaries: columns(Mat3::IDENTITY), eye_rect, ..layout::Video::zeroed() },

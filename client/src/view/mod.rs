@@ -145,7 +145,7 @@ impl Renderer {
         let needs = if self.visible { self.stage.needs } else { SceneNeeds::default() };
         let plan = Plan::new(needs, &self.light);
         if std::mem::take(&mut self.light_changed) {
-            environment.set_light(&self.light);
+            environment.set_light(gpu, &self.light);
         }
         if plan.reflections {
             environment.refresh_reflections(gpu, encoder, &self.light, &mut self.timer);

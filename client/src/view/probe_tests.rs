@@ -1,7 +1,7 @@
 //! The light kernels on the GPU against their CPU twins. Needs a Vulkan adapter and fails without one.
 
 use glam::{Mat3, Vec2, Vec3};
-use mr360_protocol::light::Lift;
+use mr360_protocol::light::{Lift, Recovery};
 use mr360_protocol::video::{Colour, Primaries, Transfer};
 use mr360_shaders::colour::{bt709_from_primaries, decode_transfer, radiance_from_code};
 use mr360_shaders::equirect::{direction_from_uv, uv_from_direction};
@@ -14,7 +14,11 @@ use crate::gpu::Gpu;
 
 const TRANSFERS: [Transfer; 5] = [Transfer::Bt709, Transfer::Srgb, Transfer::Linear, Transfer::Pq, Transfer::Hlg];
 const PRIMARIES: [Primaries; 4] = [Primaries::Bt709, Primaries::Bt2020, Primaries::Bt601Pal, Primaries::Bt601Ntsc];
-const LIFTS: [Lift; 3] = [Lift::Linear, Lift::InverseToneMap, Lift::Highlights];
+const LIFTS: [Lift; 3] = [
+    Lift::Linear,
+    Lift::InverseToneMap,
+    Lift::Recovered(Recovery { gain_ln: 0.7, slope: Vec3::new(0.3, 1.9, -0.4), tint_ln: [0.3, -0.5] }),
+];
 /// Codes asked of each kind.
 const CODES: usize = 64;
 
@@ -82,6 +86,7 @@ fn kernels_match_their_cpu_twins() {
             transfer: transfer_index(colour.transfer),
             code: [step(*i), 0.5, step(CODES - 1 - i)],
             lift: lift_index(*lift),
+            recovery: (*lift).into(),
             bt709_from_primaries: columns(bt709_from_primaries(colour.primaries)),
         }
     };
@@ -101,7 +106,7 @@ fn kernels_match_their_cpu_twins() {
         let error = (Vec3::from_array(result.linear) - linear).abs() / (linear.abs() + 1e-3);
         assert!(error.max_element() < 5e-3, "{colour:?} {code}: {:?} against {linear}", result.linear);
         // The primaries take channels from each other: what is left has the error of the largest.
-        let radiance = radiance_from_code(*lift, *colour, code);
+        let radiance = radiance_from_code(*lift, *colour, direction, code);
         let error = (Vec3::from_array(result.lifted) - radiance).abs().max_element() / (linear.abs().max(radiance).max_element() + 1e-3);
         assert!(error < 1e-2, "{lift:?} {colour:?} {code}: {:?} against {radiance}", result.lifted);
     }

@@ -8,16 +8,17 @@
 //! keeps its identity, moves and fades.
 
 use glam::{DVec3, Vec3};
-use mr360_protocol::light::{Lift, SH9};
-use mr360_protocol::video::Colour;
-use mr360_shaders::colour::{LUMA, luminance, radiance_from_code};
+use mr360_protocol::light::{Lift, SH25};
+use mr360_shaders::colour::{LUMA, recovery_tint};
+use mr360_shaders::sh::basis25;
 
 use super::candidates::{Candidate, Candidates};
-use super::harmonics::project9;
+use super::clipped::{self, Clipped, Sky};
 use super::panorama::Panorama;
-use super::recovery::recover;
+use super::recovery::{Recovered, Recoverer};
 use super::regions::{Regions, Topology, most_regions};
 use super::sampling::Grid;
+use super::series::Series;
 use super::track::{Bounds, Coarse, MOST_OBSERVATIONS, Observation, Tracker, View};
 use super::{Estimate, LightError, LightMethod, StepTimes};
 use crate::frame::Frame;
@@ -39,11 +40,13 @@ const LAST_SHARE: f64 = 0.02;
 /// The default method; see the module.
 pub struct Directional {
     panorama: Panorama,
-    /// Luminance of display white under the lift.
-    white: f32,
+    recoverer: Recoverer,
+    series: Series,
+    sh: [Vec3; SH25],
     luminance: Vec<f32>,
     regions: Regions,
     candidates: Candidates,
+    clipped: Clipped,
     observations: Vec<Observation>,
     coarse: Coarse,
     tracker: Tracker,
@@ -54,11 +57,14 @@ impl Default for Directional {
     fn default() -> Self {
         let width = SIZE.width as usize;
         Self {
-            panorama: Panorama::new(SIZE, Lift::Highlights),
-            white: luminance(radiance_from_code(Lift::Highlights, Colour::default(), Vec3::ONE)),
+            panorama: Panorama::new(SIZE, Lift::Linear),
+            recoverer: Recoverer::new(SIZE),
+            series: Series::new(SIZE, SH25),
+            sh: [Vec3::ZERO; SH25],
             luminance: vec![0.0; width * UPPER_ROWS],
             regions: Regions::new(width, UPPER_ROWS),
             candidates: Candidates::new(most_regions(width, UPPER_ROWS)),
+            clipped: Clipped::new(most_regions(width, UPPER_ROWS)),
             observations: Vec::with_capacity(MOST_OBSERVATIONS),
             coarse: Coarse::default(),
             tracker: Tracker::new(Bounds { birth: LEAST_SHARE, death: LAST_SHARE, lights: MOST_LIGHTS }),
@@ -106,6 +112,26 @@ impl Directional {
         Statistics { mean, deviation, peak: f64::from(peak), energy: first }
     }
 
+    /// Observations of a frame that clips, if it has any clipped region in the sky; what is moved between them is moved in the SH, too.
+    fn find_clipped(&mut self, statistics: &Statistics, recovered: &Recovered) -> bool {
+        let clipped = &self.recoverer.clipped()[..self.luminance.len()];
+        self.regions.find(SIZE.width as usize, clipped, Topology::Panorama, |degree| degree > clipped::INSIDE);
+        let sky = Sky {
+            panorama: &self.panorama,
+            clipped,
+            mean: statistics.mean,
+            energy: statistics.energy,
+            tint: recovery_tint(&recovered.curve),
+            sigma: recovered.sigma,
+        };
+        let sh = &mut self.sh;
+        self.clipped.observe(&sky, &self.regions, &mut self.observations, |direction, irradiance| {
+            sh.iter_mut().zip(basis25(direction)).for_each(|(sum, basis)| *sum += irradiance.as_vec3() * basis);
+        });
+        !self.observations.is_empty()
+    }
+
+    /// Observations of any other frame.
     fn find_candidates(&mut self, statistics: &Statistics, steps: &mut StepTimes) {
         let threshold = statistics.threshold();
         steps.time("regions", || {
@@ -141,6 +167,8 @@ fn observation(candidate: &Candidate, energy: f64) -> Observation {
         irradiance: candidate.irradiance,
         solid_angle_sr: candidate.effective_solid_angle_sr(),
         share: candidate.strength / energy,
+        hidden_share: 0.0,
+        sigma: 0.0,
     }
 }
 
@@ -149,32 +177,28 @@ impl LightMethod for Directional {
         "directional"
     }
 
-    fn lift(&self) -> Lift {
-        Lift::Highlights
-    }
-
     fn estimate(&mut self, frame: &Frame, steps: &mut StepTimes) -> Result<&Estimate, LightError> {
         steps.time("sample", || self.panorama.take(frame))?;
-        // True HDR comes without a lift and holds its highlights already.
-        if self.panorama.lift() == self.lift() {
-            steps.time("recover", || recover(&mut self.panorama, self.white, LUMA));
-        }
+        // True HDR holds its highlights already.
+        let recovered = if self.panorama.is_hdr() { None } else { steps.time("recover", || self.recoverer.recover(&mut self.panorama)) };
         let statistics = steps.time("threshold", || self.statistics());
-        self.find_candidates(&statistics, steps);
-        let mut sh = [Vec3::ZERO; SH9];
-        steps.time("sh", || project9(&self.panorama, &mut sh));
+        steps.time("sh", || self.series.project(&self.panorama, &mut self.sh));
+        let clipped = recovered.is_some_and(|recovered| steps.time("clipped", || self.find_clipped(&statistics, &recovered)));
+        if !clipped {
+            self.find_candidates(&statistics, steps);
+        }
         steps.time("track", || {
             self.coarse.take(&self.panorama);
             let view = View {
                 pts_us: frame.pts_us,
                 coarse: &self.coarse,
-                hdr: self.panorama.lift() != Lift::Highlights,
-                sh: &sh,
+                hdr: self.panorama.is_hdr(),
+                sh: &self.sh,
                 observations: &self.observations,
             };
             self.tracker.track(&view, &mut self.estimate);
         });
-        self.estimate.lift = self.panorama.lift();
+        self.estimate.lift = recovered.map_or(Lift::Linear, |recovered| Lift::Recovered(recovered.curve));
         self.estimate.mended = self.panorama.mended;
         Ok(&self.estimate)
     }

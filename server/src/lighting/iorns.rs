@@ -30,10 +30,6 @@ impl LightMethod for Iorns {
         "iorns"
     }
 
-    fn lift(&self) -> Lift {
-        Lift::InverseToneMap
-    }
-
     fn estimate(&mut self, frame: &Frame, steps: &mut StepTimes) -> Result<&Estimate, LightError> {
         steps.time("sample", || self.panorama.take(frame))?;
         steps.time("sh", || self.estimate.project(&self.panorama, project9));

@@ -10,6 +10,7 @@ use mr360_protocol::light::{DirectionalLight, Lift, SH9};
 use crate::frame::Frame;
 
 mod candidates;
+mod clipped;
 #[cfg(test)]
 mod closed_forms;
 mod cuts;
@@ -119,9 +120,6 @@ pub enum LightError {
 pub trait LightMethod: Send {
     /// What selects the method, parameter included: its [`MethodSpec`] in words.
     fn name(&self) -> &str;
-
-    /// How the method lifts LDR video; HDR video is used as it is, see [`Estimate::lift`].
-    fn lift(&self) -> Lift;
 
     /// Estimates the light of `frame` and adds the time of each step to `steps`.
     ///

@@ -91,10 +91,6 @@ impl LightMethod for Mr360 {
         "mr360"
     }
 
-    fn lift(&self) -> Lift {
-        Lift::InverseToneMap
-    }
-
     fn estimate(&mut self, frame: &Frame, steps: &mut StepTimes) -> Result<&Estimate, LightError> {
         steps.time("sample", || self.panorama.take(frame))?;
         let threshold = steps.time("threshold", || {

@@ -3,7 +3,7 @@
 //! RGB frames are decoded pixel by pixel and averaged as radiance, rows weighted by their solid angle: linear input
 //! keeps its energy exactly. For video that would cost several times the rest of the estimate, so blocks of codes
 //! are averaged first and become radiance afterwards. The mean of a convex curve is above the curve of the mean:
-//! with white at the 95th percentile and [`Lift::Highlights`], averaging 2×2 pixels of sixteen 512×256 panoramas
+//! with white at the 95th percentile and a steep lift, averaging 2×2 pixels of sixteen 512×256 panoramas
 //! before decoding them took 0.5 to 26 % off their irradiance, 4 % in the median. Each texel is therefore made of
 //! `supersample`² blocks which are decoded one by one.
 
@@ -98,6 +98,11 @@ impl Panorama {
     /// The lift that the last frame was given; HDR frames are given none.
     pub(super) fn lift(&self) -> Lift {
         self.table.lift()
+    }
+
+    /// Whether the last frame was true HDR.
+    pub(super) fn is_hdr(&self) -> bool {
+        self.table.is_hdr()
     }
 
     /// One row of a channel.
@@ -362,7 +367,7 @@ mod tests {
     #[test]
     fn bit_depths_and_subsamplings_agree() {
         let scene = |plane: usize, x: u32, width: u32| [40 + 180 * x / width, 100 + 40 * x / width, 150 - 30 * x / width][plane] as u16;
-        let reference = taken(&video(Pixel::YUV444P, 64, 32, Colour::default(), |p, x, _| scene(p, x, 64)), Lift::Highlights, 1);
+        let reference = taken(&video(Pixel::YUV444P, 64, 32, Colour::default(), |p, x, _| scene(p, x, 64)), Lift::Linear, 1);
         for (format, wide, chroma) in [
             (Pixel::YUV444P10LE, true, 64),
             (Pixel::YUV422P10LE, true, 32),
@@ -372,7 +377,7 @@ mod tests {
         ] {
             let colour = Colour { bit_depth: if wide { 10 } else { 8 }, ..Colour::default() };
             let frame = video(format, 64, 32, colour, |p, x, _| scene(p, x, if p == 0 { 64 } else { chroma }) * if wide { 4 } else { 1 });
-            let panorama = taken(&frame, Lift::Highlights, 1);
+            let panorama = taken(&frame, Lift::Linear, 1);
             for (a, b) in reference.channels.iter().flatten().zip(panorama.channels.iter().flatten()) {
                 // Half-resolution chroma rounds its codes down at other places: at most one step of 255.
                 assert!((a - b).abs() < 0.04 * a.max(0.05), "{format:?}: {a} against {b}");
@@ -390,7 +395,7 @@ mod tests {
         for (row, column) in (0..8).flat_map(|row| (0..16).map(move |column| (row, column))) {
             let yuv = Vec3::from_array([0, 1, 2].map(|plane| f32::from(code(plane, column / 2, row / 2)) / 255.0));
             let rgb = (rgb_from_yuv * (yuv - offset)).clamp(Vec3::ZERO, Vec3::ONE);
-            let expected = mr360_shaders::colour::radiance_from_code(Lift::Linear, colour, rgb);
+            let expected = mr360_shaders::colour::radiance_from_code(Lift::Linear, colour, Vec3::Y, rgb);
             let got = panorama.radiance((row * 16 + column) as usize);
             // Half a table step.
             assert!((got - expected).abs().max_element() < 2e-3, "{row} {column}: {got} against {expected}");

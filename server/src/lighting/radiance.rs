@@ -4,9 +4,7 @@
 use glam::{Mat3, Vec3};
 use mr360_protocol::light::Lift;
 use mr360_protocol::video::{Colour, Primaries, Transfer};
-use mr360_shaders::colour::{
-    IORNS_BASE, IORNS_LUMA, bt709_from_primaries, decode_transfer, hlg_display_factor, hlg_scene_light, iorns_factor,
-};
+use mr360_shaders::colour::{IORNS_LUMA, bt709_from_primaries, decode_transfer, hlg_display_factor, hlg_scene_light, iorns_factor};
 
 /// Entries of a table over code values in [0, 1]. Rounding to the nearest entry moves a code by at most
 /// 1/8190, an eighth of an 8-bit step, and averages out over the texels.
@@ -58,9 +56,8 @@ impl RadianceTable {
                 _ => decode_transfer(colour.transfer, Vec3::splat(v)).x,
             }),
             factor: table(&|luma| match lift {
-                Lift::Linear => 1.0,
+                Lift::Linear | Lift::Recovered(_) => 1.0,
                 Lift::InverseToneMap => iorns_factor(Vec3::splat(luma)),
-                Lift::Highlights => iorns_factor(Vec3::splat(luma)) / IORNS_BASE,
             }),
             primaries: bt709_from_primaries(colour.primaries),
         }
@@ -74,6 +71,11 @@ impl RadianceTable {
     /// Whether codes are radiance already.
     pub(super) fn is_linear(&self) -> bool {
         self.key.1.transfer == Transfer::Linear
+    }
+
+    /// Whether codes are true HDR.
+    pub(super) fn is_hdr(&self) -> bool {
+        is_hdr(self.key.1.transfer)
     }
 
     /// The lift that is applied.
@@ -157,7 +159,7 @@ mod tests {
     fn tables_agree_with_the_curves() {
         for transfer in [Transfer::Bt709, Transfer::Srgb, Transfer::Linear, Transfer::Pq, Transfer::Hlg] {
             for primaries in [Primaries::Bt709, Primaries::Bt2020, Primaries::Bt601Ntsc] {
-                for lift in [Lift::Linear, Lift::InverseToneMap, Lift::Highlights] {
+                for lift in [Lift::Linear, Lift::InverseToneMap] {
                     let colour = Colour { transfer, primaries, ..Colour::default() };
                     let table = RadianceTable::new(lift, colour);
                     // Limited-range video holds codes below black and above white; 255 of 8 bits is 1.09.
@@ -174,7 +176,7 @@ mod tests {
                         let mut planes = code.to_array().map(|v| vec![v]);
                         table.decode(&mut planes);
                         let got = Vec3::new(planes[0][0], planes[1][0], planes[2][0]);
-                        let expected = radiance_from_code(table.lift(), colour, code);
+                        let expected = radiance_from_code(table.lift(), colour, Vec3::Y, code);
                         // Half a table step of the steepest curve, PQ or the tenth power near white, is 0.25 %.
                         assert!(
                             (got - expected).abs().max_element() <= 3e-3 * expected.max_element() + 1e-5,

@@ -39,10 +39,6 @@ impl LightMethod for SphericalHarmonics {
         &self.name
     }
 
-    fn lift(&self) -> Lift {
-        Lift::Linear
-    }
-
     fn estimate(&mut self, frame: &Frame, steps: &mut StepTimes) -> Result<&Estimate, LightError> {
         steps.time("sample", || self.panorama.take(frame))?;
         steps.time("sh", || {

@@ -209,8 +209,9 @@ fn a_sun_keeps_its_identity_over_seam_and_zenith() {
 #[test]
 fn a_cloud_takes_the_sun_away_once() {
     let rows = run(&sequences::behind_a_cloud());
-    // Dead and born once at most, and faded, although the clipped sun leaves white within a quarter of a second.
-    assert_steady(&rows, 2, 0.3, 0.1);
+    // Dead and born once at most, and faded, although the clipped sun leaves white within a quarter of a second. As it does, single pixels of
+    // 1.4° leave its region before others.
+    assert_steady(&rows, 2, 0.35, 0.1);
     assert!(rows[90..110].iter().all(|row| row.estimate.lights.is_empty()));
     assert!(rows[190..].iter().all(|row| row.estimate.lights.len() == 1));
 }

@@ -84,10 +84,6 @@ impl LightMethod for LightCuts {
         &self.name
     }
 
-    fn lift(&self) -> Lift {
-        Lift::Linear
-    }
-
     fn estimate(&mut self, frame: &Frame, steps: &mut StepTimes) -> Result<&Estimate, LightError> {
         steps.time("sample", || self.panorama.take(frame))?;
         steps.time("table", || self.table.fill(&self.panorama));

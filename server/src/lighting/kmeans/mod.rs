@@ -77,10 +77,6 @@ impl LightMethod for KMeans {
         &self.name
     }
 
-    fn lift(&self) -> Lift {
-        Lift::Linear
-    }
-
     fn estimate(&mut self, frame: &Frame, steps: &mut StepTimes) -> Result<&Estimate, LightError> {
         steps.time("sample", || self.panorama.take(frame))?;
         steps.time("threshold", || self.direct.take_out_of(&mut self.panorama));

@@ -9,8 +9,8 @@
 //! clients clamp. No light is therefore sent stronger than what the surfaces facing it receive.
 
 use glam::{DVec3, Vec3};
-use mr360_protocol::light::{DirectionalLight, SH9};
-use mr360_shaders::sh::basis9;
+use mr360_protocol::light::{DirectionalLight, SH9, SH25};
+use mr360_shaders::sh::{IRRADIANCE_BAND, basis25};
 
 use super::assign::MOST;
 use super::life::{Track, canonical};
@@ -31,24 +31,44 @@ struct Sent {
     solid_angle_sr: f64,
 }
 
+/// Bands 3 and 4 are sent once band 4 makes up this share of the irradiance, root mean square over the sphere to mean, and no longer when it is
+/// below the second. Irradiance has no band 3 (Ramamoorthi & Hanrahan 2001). Half a per cent is a quarter of what is seen (Weber's 2 %).
+const WORTH: (f64, f64) = (0.004, 0.0025);
+
 /// Makes what is sent; the buffer is reused.
 #[derive(Default)]
 pub(super) struct Lights {
     sent: Vec<Sent>,
+    /// Whether bands 3 and 4 were sent last.
+    fine: bool,
 }
 
 /// SH in double precision, so that taking out what was put in leaves nothing.
-struct Harmonics([DVec3; SH9]);
+struct Harmonics([DVec3; SH25]);
 
 impl Harmonics {
     fn add(&mut self, direction: Vec3, irradiance: DVec3) {
-        for (sum, basis) in self.0.iter_mut().zip(basis9(direction)) {
+        for (sum, basis) in self.0.iter_mut().zip(basis25(direction)) {
             *sum += irradiance * f64::from(basis);
         }
+    }
+
+    /// Share of the luminous irradiance that is band 4's, root mean square over mean; `direct` is the lights' irradiance on surfaces that face them.
+    fn fourth_band_share(&self, direct: f64) -> f64 {
+        let fourth: f64 = self.0[16..].iter().map(|c| c.dot(LUMA).powi(2)).sum();
+        // An orthonormal function has the root mean square 1/√4π; of a light, a quarter reaches the mean surface.
+        let root = (4.0 * std::f64::consts::PI).sqrt();
+        let mean = f64::from(IRRADIANCE_BAND[0]) * self.0[0].dot(LUMA) / root + 0.25 * direct;
+        if mean > 0.0 { f64::from(IRRADIANCE_BAND[4]).abs() * fourth.sqrt() / root / mean } else { 0.0 }
     }
 }
 
 impl Lights {
+    /// Forgets what was sent.
+    pub(super) fn reset(&mut self) {
+        self.fine = false;
+    }
+
     /// Writes lights and SH into `estimate`; at most `most` lights, strongest first.
     pub(super) fn send(&mut self, tracks: &[Track], view: &View<'_>, gains: Gains, most: usize, estimate: &mut Estimate) {
         self.choose(tracks, view, gains, most);
@@ -70,7 +90,10 @@ impl Lights {
             sh.add(light.direction, spread);
         }
         estimate.sh.clear();
-        estimate.sh.extend(sh.0.map(|coefficient| coefficient.as_vec3()));
+        let direct = self.sent.iter().map(|light| light.irradiance.dot(LUMA)).sum();
+        self.fine = sh.fourth_band_share(direct) > if self.fine { WORTH.1 } else { WORTH.0 };
+        estimate.sh.reserve(SH25);
+        estimate.sh.extend(sh.0[..if self.fine { SH25 } else { SH9 }].iter().map(|coefficient| coefficient.as_vec3()));
         estimate.lights.clear();
         estimate.lights.reserve(most);
         estimate.lights.extend(self.sent.iter().filter(|light| light.irradiance.max_element() > 0.0).map(|light| DirectionalLight {
@@ -136,25 +159,33 @@ fn with_kin(track: &Track, tracks: &[Track], view: &View<'_>, gains: Gains) -> (
 
 #[cfg(test)]
 mod tests {
-    use mr360_shaders::sh::{IRRADIANCE_BAND, band};
+    use mr360_shaders::sh::band;
 
     use super::super::{Bounds, Coarse, Observation, life};
     use super::*;
 
     /// SH of a disc of radiance 1 about the zenith, and its energy.
-    fn disc(radius: f64) -> ([Vec3; SH9], f64) {
+    fn disc(radius: f64) -> ([Vec3; SH25], f64) {
         let (energy, cosine) = (std::f64::consts::TAU * (1.0 - radius.cos()), radius.cos());
-        // Of a zonal cap, the bands keep 1, (1 + c)/2 and c(1 + c)/2 of what a source without extent has.
-        let kept = [1.0, 0.5 * (1.0 + cosine), 0.5 * cosine * (1.0 + cosine)];
+        // Of a zonal cap, the bands keep this much of what a source without extent has: (P(l−1) − P(l+1))/((2l+1)(1 − c)).
+        let (half, c2) = (0.5 * (1.0 + cosine), cosine * cosine);
+        let kept = [1.0, half, cosine * half, 0.25 * half * (5.0 * c2 - 1.0), 0.25 * cosine * half * (7.0 * c2 - 3.0)];
         let mut index = 0..;
-        let sh = basis9(Vec3::Y).map(|basis| Vec3::splat((f64::from(basis) * energy * kept[band(index.next().unwrap())]) as f32));
+        let sh = basis25(Vec3::Y).map(|basis| Vec3::splat((f64::from(basis) * energy * kept[band(index.next().unwrap())]) as f32));
         (sh, energy)
     }
 
     /// What is sent when a disc is observed whole.
-    fn sent(radius: f64) -> (Estimate, [Vec3; SH9]) {
+    fn sent(radius: f64) -> (Estimate, [Vec3; SH25]) {
         let (sh, energy) = disc(radius);
-        let seen = Observation { direction: DVec3::Y, irradiance: DVec3::splat(energy), solid_angle_sr: energy, share: 1.0 };
+        let seen = Observation {
+            direction: DVec3::Y,
+            irradiance: DVec3::splat(energy),
+            solid_angle_sr: energy,
+            share: 1.0,
+            hidden_share: 0.0,
+            sigma: 0.0,
+        };
         let gains = Gains { measured: DVec3::ONE, sent: DVec3::ONE };
         let bounds = Bounds { birth: 0.04, death: 0.02, lights: 8 };
         let mut tracks = Vec::new();
@@ -172,9 +203,10 @@ mod tests {
         for radius in [0.05, 0.5, 0.9, 1.2] {
             let (estimate, sh) = sent(radius);
             let light = estimate.lights[0].irradiance.x;
-            let facing = mr360_shaders::sh::irradiance(&sh, Vec3::Y).x;
+            let facing = mr360_shaders::sh::irradiance(&sh[..SH9], Vec3::Y).x;
             assert!((light - facing / FACING as f32).abs() < 1e-4 * light, "{radius}: {light} {facing}");
-            let left: f32 = estimate.sh.iter().zip(basis9(Vec3::Y)).enumerate().map(|(i, (c, y))| c.x * y * IRRADIANCE_BAND[band(i)]).sum();
+            let left: f32 =
+                estimate.sh.iter().take(SH9).zip(basis25(Vec3::Y)).enumerate().map(|(i, (c, y))| c.x * y * IRRADIANCE_BAND[band(i)]).sum();
             assert!(left.abs() < 1e-4 * light, "{radius}: {left}");
             // What the light does not hold is in the SH.
             let energy = light + estimate.sh[0].x * (4.0 * std::f32::consts::PI).sqrt();

@@ -80,13 +80,13 @@ struct Range {
 }
 
 impl Range {
-    /// LDR video under the highlights' lift: below the floor an 8-bit step is over a tenth, above the ceiling the lift
-    /// adds more than a twentieth to a change of exposure. True HDR has neither, only the black of the picture.
+    /// LDR video: below the floor an 8-bit step is over a tenth, above the ceiling some of a coarse texel may be clipped. True HDR has neither,
+    /// only the black of the picture.
     fn of(coarse: &Coarse, hdr: bool) -> Self {
         if hdr {
             Self { floor: 1e-3 * coarse.mean_luminance().max(1e-9), ceiling: f32::INFINITY }
         } else {
-            Self { floor: 0.01, ceiling: 0.25 }
+            Self { floor: 0.01, ceiling: 0.7 }
         }
     }
 

@@ -9,6 +9,7 @@
 use glam::DVec3;
 
 use super::assign::MOST;
+use super::evidence::Evidence;
 use super::follow::{Follower, Manner};
 use super::{Bounds, DIRECTION, Gains, LUMA, Observation};
 
@@ -34,6 +35,7 @@ pub(super) struct Track {
     pub(super) direction: Follower,
     /// Logarithm of the irradiance in canonical exposure.
     pub(super) intensity: Follower,
+    evidence: Evidence,
     solid_angle_ln: f64,
     /// Of the energy of the upper hemisphere; none while it is out of sight.
     share: f64,
@@ -66,6 +68,7 @@ impl Track {
             id: None,
             direction: Follower::new(seen.direction),
             intensity: Follower::new(canonical(seen.irradiance, gains)),
+            evidence: Evidence::new(canonical(seen.irradiance, gains), seen.sigma),
             solid_angle_ln: seen.solid_angle_sr.ln(),
             share: seen.share,
             alive: false,
@@ -94,7 +97,8 @@ impl Track {
     fn observe(&mut self, seen: Observation, gains: Gains, dt_s: f64) {
         self.direction.observe(&DIRECTION, seen.direction, dt_s);
         self.direction.normalize();
-        self.intensity.observe(&INTENSITY, canonical(seen.irradiance, gains), dt_s);
+        let known = self.evidence.take(canonical(seen.irradiance, gains), seen.hidden_share, seen.sigma, dt_s);
+        self.intensity.observe(&INTENSITY, known, dt_s);
         self.solid_angle_ln += (1.0 - (-dt_s / WIDTH_S).exp()) * (seen.solid_angle_sr.ln() - self.solid_angle_ln);
         (self.share, self.seen) = (seen.share, Some(seen));
     }
@@ -103,6 +107,7 @@ impl Track {
     fn become_seen(&mut self, seen: Observation, gains: Gains) {
         self.direction.jump(seen.direction);
         self.intensity.jump(canonical(seen.irradiance, gains));
+        self.evidence = Evidence::new(canonical(seen.irradiance, gains), seen.sigma);
         self.solid_angle_ln = seen.solid_angle_sr.ln();
         (self.share, self.seen) = (seen.share, Some(seen));
     }
@@ -272,7 +277,14 @@ mod tests {
     fn lives(shares: impl IntoIterator<Item = f64>) -> Vec<(Option<u32>, f64)> {
         let (mut tracks, mut next_id) = (Vec::new(), 0);
         let frame = |share: f64| {
-            let seen = Observation { direction: DVec3::Y, irradiance: DVec3::splat(share), solid_angle_sr: 0.01, share };
+            let seen = Observation {
+                direction: DVec3::Y,
+                irradiance: DVec3::splat(share),
+                solid_angle_sr: 0.01,
+                share,
+                hidden_share: 0.0,
+                sigma: 0.0,
+            };
             let mut matched = [None; MOST];
             matched[0] = Some(0).filter(|_| !tracks.is_empty());
             observe(&mut tracks, &Shown { observations: &[seen], matched, gains: GAINS, dt_s: DT_S }, BOUNDS);
@@ -295,7 +307,14 @@ mod tests {
     fn a_light_out_of_sight_gives_way_to_one_in_sight() {
         let (mut tracks, mut next_id) = (Vec::new(), 0);
         let bounds = Bounds { lights: 1, ..BOUNDS };
-        let light = |direction, share| Observation { direction, irradiance: DVec3::splat(share), solid_angle_sr: 0.01, share };
+        let light = |direction, share| Observation {
+            direction,
+            irradiance: DVec3::splat(share),
+            solid_angle_sr: 0.01,
+            share,
+            hidden_share: 0.0,
+            sigma: 0.0,
+        };
         let (strong, weak) = (light(DVec3::Y, 0.5), light(DVec3::X, 0.1));
         let mut frame = |observations: &[Observation]| {
             let mut matched = [None; MOST];

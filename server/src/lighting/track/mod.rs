@@ -2,12 +2,13 @@
 //!
 //! The tracker knows neither where observations come from nor what time it is: it is given what a frame shows and the
 //! frame's presentation time, and says what to send. Intensities are tracked in canonical exposure, with the camera's
-//! gain divided out ([`exposure`]); gain, intensity and direction are each followed by a [`follow::Follower`];
+//! gain divided out ([`exposure`]); gain, intensity and direction are each followed by a [`follow::Follower`]; of a light that is clipped now
+//! and was not before, what was seen is believed ([`evidence`]);
 //! observations find their lights by optimal assignment ([`assign`]); which lights exist, and how much of each is
 //! sent, is decided by hysteresis and fades ([`life`]); [`energy`] leaves in the SH exactly what the lights do not hold.
 
 use glam::{DVec3, Vec3};
-use mr360_protocol::light::SH9;
+use mr360_protocol::light::SH25;
 use mr360_shaders::colour;
 
 use self::assign::{Costs, MOST};
@@ -19,6 +20,7 @@ use super::Estimate;
 
 mod assign;
 mod energy;
+mod evidence;
 mod exposure;
 mod follow;
 mod life;
@@ -52,6 +54,10 @@ pub(super) struct Observation {
     pub(super) solid_angle_sr: f64,
     /// Its share of the energy of the upper hemisphere.
     pub(super) share: f64,
+    /// Part of its strength that was clipped and is estimated.
+    pub(super) hidden_share: f64,
+    /// Standard deviation of the logarithm of its strength for that.
+    pub(super) sigma: f64,
 }
 
 /// What a frame shows.
@@ -63,7 +69,7 @@ pub(super) struct View<'a> {
     /// Whether its radiance is the scene's, without lift and clipping.
     pub(super) hdr: bool,
     /// SH of the whole frame, lights included.
-    pub(super) sh: &'a [Vec3; SH9],
+    pub(super) sh: &'a [Vec3; SH25],
     /// Candidates, strongest first, at most [`MOST_OBSERVATIONS`].
     pub(super) observations: &'a [Observation],
 }
@@ -134,6 +140,7 @@ impl Tracker {
         self.exposure.reset();
         self.gain = None;
         self.tracks.clear();
+        self.lights.reset();
     }
 
     /// Follows the exposure. The second value is whether nothing is known from before: the first frame, or a cut.
