@@ -9,6 +9,7 @@ use mr360_protocol::light::{DirectionalLight, Lift, SH9};
 
 use crate::frame::Frame;
 
+mod averages;
 mod candidates;
 #[cfg(test)]
 mod closed_forms;
