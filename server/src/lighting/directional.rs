@@ -13,11 +13,11 @@ use mr360_protocol::video::Colour;
 use mr360_shaders::colour::{LUMA, luminance, radiance_from_code};
 
 use super::candidates::{Candidate, Candidates};
-use super::harmonics::project9;
 use super::panorama::Panorama;
 use super::recovery::recover;
 use super::regions::{Regions, Topology, most_regions};
 use super::sampling::Grid;
+use super::series::Series;
 use super::track::{Bounds, Coarse, MOST_OBSERVATIONS, Observation, Tracker, View};
 use super::{Estimate, LightError, LightMethod, StepTimes};
 use crate::frame::Frame;
@@ -39,6 +39,7 @@ const LAST_SHARE: f64 = 0.02;
 /// The default method; see the module.
 pub struct Directional {
     panorama: Panorama,
+    series: Series,
     /// Luminance of display white under the lift.
     white: f32,
     luminance: Vec<f32>,
@@ -55,6 +56,7 @@ impl Default for Directional {
         let width = SIZE.width as usize;
         Self {
             panorama: Panorama::new(SIZE, Lift::Highlights),
+            series: Series::new(SIZE, SH9),
             white: luminance(radiance_from_code(Lift::Highlights, Colour::default(), Vec3::ONE)),
             luminance: vec![0.0; width * UPPER_ROWS],
             regions: Regions::new(width, UPPER_ROWS),
@@ -162,7 +164,7 @@ impl LightMethod for Directional {
         let statistics = steps.time("threshold", || self.statistics());
         self.find_candidates(&statistics, steps);
         let mut sh = [Vec3::ZERO; SH9];
-        steps.time("sh", || project9(&self.panorama, &mut sh));
+        steps.time("sh", || self.series.project(&self.panorama, &mut sh));
         steps.time("track", || {
             self.coarse.take(&self.panorama);
             let view = View {

@@ -34,12 +34,13 @@ pub(super) struct Geometry {
     pub(super) sin_cos_latitude: Vec<(f32, f32)>,
     /// Longitude λ at each column's centre.
     pub(super) longitude: Vec<f32>,
-    /// sin λ, cos λ, sin 2λ, cos 2λ at each column's centre.
-    pub(super) harmonics: [Vec<f32>; 4],
+    /// sin λ and cos λ at each column's centre.
+    pub(super) sin_cos_longitude: [Vec<f32>; 2],
 }
 
 impl Geometry {
-    fn new(size: Grid) -> Self {
+    /// Geometry of a panorama of this size.
+    pub(super) fn new(size: Grid) -> Self {
         let (width, height) = (size.width, size.height);
         let longitude: Vec<f32> = (0..width).map(|i| ((i as f32 + 0.5) / width as f32 - 0.5) * TAU).collect();
         let latitude: Vec<f32> = (0..height).map(|j| (0.5 - (j as f32 + 0.5) / height as f32) * TAU / 2.0).collect();
@@ -47,12 +48,7 @@ impl Geometry {
         Self {
             solid_angle_sr: (0..height).map(|row| pixel_solid_angle_sr(row, width, height)).collect(),
             sin_cos_latitude: latitude.iter().map(|l| l.sin_cos()).collect(),
-            harmonics: [
-                of_longitude(f32::sin),
-                of_longitude(f32::cos),
-                of_longitude(|l| (2.0 * l).sin()),
-                of_longitude(|l| (2.0 * l).cos()),
-            ],
+            sin_cos_longitude: [of_longitude(f32::sin), of_longitude(f32::cos)],
             latitude,
             longitude,
         }
@@ -61,7 +57,7 @@ impl Geometry {
     /// Unit direction of a texel's centre.
     pub(super) fn direction(&self, row: usize, column: usize) -> Vec3 {
         let (sin_latitude, cos_latitude) = self.sin_cos_latitude[row];
-        Vec3::new(cos_latitude * self.harmonics[0][column], sin_latitude, -cos_latitude * self.harmonics[1][column])
+        Vec3::new(cos_latitude * self.sin_cos_longitude[0][column], sin_latitude, -cos_latitude * self.sin_cos_longitude[1][column])
     }
 }
 

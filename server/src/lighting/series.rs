@@ -46,10 +46,15 @@ impl Series {
         let harmonics = (0..degree / 2).map(|pair| std::array::from_fn(|k| harmonic(1 + 4 * pair + k))).collect();
         let mut weights = Vec::with_capacity(size.height as usize * (1 + 2 * degree) * depth);
         for row in 0..size.height {
-            let of_row: Vec<_> = (0..depth).map(|i| row_weights(size, row, i)).collect();
-            weights.extend((0..=2 * degree).flat_map(|k| of_row.iter().map(move |weights| weights[k])));
+            let of_row = row_weights(size, row);
+            weights.extend(of_row[..=2 * degree].iter().flat_map(|weights| &weights[..depth]));
         }
         Self { arch: Arch::new(), harmonics, weights, coefficients: coefficients.min(SH25) }
+    }
+
+    /// How many coefficients the tables are for.
+    pub(super) fn coefficients(&self) -> usize {
+        self.coefficients
     }
 
     /// Writes the coefficients of the panorama's radiance into `sh`, which is as long as the tables are deep.
@@ -128,28 +133,26 @@ fn moment_basis(k: usize, longitude: f64) -> f64 {
     if k % 2 == 1 { angle.sin() } else { angle.cos() }
 }
 
-/// What each moment of row `row` gives to coefficient `i`.
-fn row_weights(size: Grid, row: u32, i: usize) -> [f64; MOST_MOMENTS] {
+/// What each moment of row `row` gives to every coefficient.
+fn row_weights(size: Grid, row: u32) -> [[f64; SH25]; MOST_MOMENTS] {
     let half_height = PI / f64::from(size.height) / 2.0;
     let centre = PI / 2.0 - (f64::from(row) + 0.5) * 2.0 * half_height;
-    let mut weights = [0.0; MOST_MOMENTS];
-    for (node, weight) in GAUSS {
-        let (y, c) = (centre + node * half_height).sin_cos();
-        let readings: [(f64, f64); READINGS] = std::array::from_fn(|k| {
-            let longitude = k as f64 / READINGS as f64 * TAU;
-            let (sin, cos) = longitude.sin_cos();
-            (longitude, f64::from(basis25(DVec3::new(c * sin, y, -c * cos).as_vec3())[i]))
-        });
-        for (k, out) in weights.iter_mut().enumerate() {
-            let mean = readings.iter().map(|(longitude, value)| value * moment_basis(k, *longitude)).sum::<f64>() / READINGS as f64;
-            *out += weight * half_height * c * mean;
-        }
-    }
     let width = TAU / f64::from(size.width);
-    for (k, out) in weights.iter_mut().enumerate() {
-        // The mean of sin² or cos² is a half; a texel's integral of either is its value at the centre times this.
-        let m = k.div_ceil(2) as f64;
-        *out *= if k == 0 { width } else { 2.0 * 2.0 * (m * width / 2.0).sin() / m };
+    let mut weights = [[0.0; SH25]; MOST_MOMENTS];
+    for (node, share) in GAUSS {
+        let (y, c) = (centre + node * half_height).sin_cos();
+        for reading in 0..READINGS {
+            let longitude = reading as f64 / READINGS as f64 * TAU;
+            let (sin, cos) = longitude.sin_cos();
+            let values = basis25(DVec3::new(c * sin, y, -c * cos).as_vec3());
+            for (k, weights) in weights.iter_mut().enumerate() {
+                // The mean of sin² or cos² is a half; a texel's integral of either is its value at the centre times this.
+                let m = k.div_ceil(2) as f64;
+                let across = if k == 0 { width } else { 2.0 * 2.0 * (m * width / 2.0).sin() / m };
+                let factor = across * share * half_height * c * moment_basis(k, longitude) / READINGS as f64;
+                weights.iter_mut().zip(values).for_each(|(weight, value)| *weight += factor * f64::from(value));
+            }
+        }
     }
     weights
 }
@@ -157,8 +160,8 @@ fn row_weights(size: Grid, row: u32, i: usize) -> [f64; MOST_MOMENTS] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lighting::harmonics::project9;
     use mr360_protocol::light::Lift;
+    use mr360_shaders::sh::basis9;
 
     /// 30 columns leave a remainder of six beside the lanes.
     fn filled(size: Grid) -> Panorama {
@@ -199,7 +202,11 @@ mod tests {
         let (mut nine, mut all, mut centres) = ([Vec3::ZERO; SH9], [Vec3::ZERO; SH25], [Vec3::ZERO; SH9]);
         Series::new(size, SH9).project(&panorama, &mut nine);
         Series::new(size, SH25).project(&panorama, &mut all);
-        project9(&panorama, &mut centres);
+        for texel in 0..64 * 32 {
+            let (row, column) = (texel / 64, texel % 64);
+            let energy = panorama.radiance(texel) * panorama.geometry.solid_angle_sr[row];
+            centres.iter_mut().zip(basis9(panorama.geometry.direction(row, column))).for_each(|(sum, basis)| *sum += energy * basis);
+        }
         assert!(nine.iter().zip(all).all(|(a, b)| (*a - b).abs().max_element() < 1e-4));
         // Centres are good to 0.3 % of the mean.
         assert!(nine.iter().zip(centres).all(|(a, b)| (*a - b).abs().max_element() < 3e-3 * nine[0].max_element()), "{nine:?} {centres:?}");
