@@ -1,11 +1,11 @@
 //! The method of Iorns & Rhee 2015: inverse tone map and a diffuse map, no lights. The paper's diffuse map of
 //! 32×16 texels is carried here by the nine SH coefficients that make one.
 
-use mr360_protocol::light::Lift;
+use mr360_protocol::light::{Lift, SH9};
 
-use super::harmonics::project9;
 use super::panorama::Panorama;
 use super::sampling::Grid;
+use super::series::Series;
 use super::{Estimate, LightError, LightMethod, StepTimes};
 use crate::frame::Frame;
 
@@ -16,12 +16,13 @@ const SIZE: Grid = Grid { width: 64, height: 32, supersample: 8 };
 /// The paper's method; see the module.
 pub struct Iorns {
     panorama: Panorama,
+    series: Series,
     estimate: Estimate,
 }
 
 impl Default for Iorns {
     fn default() -> Self {
-        Self { panorama: Panorama::new(SIZE, Lift::InverseToneMap), estimate: Estimate::default() }
+        Self { panorama: Panorama::new(SIZE, Lift::InverseToneMap), series: Series::new(SIZE, SH9), estimate: Estimate::default() }
     }
 }
 
@@ -32,7 +33,7 @@ impl LightMethod for Iorns {
 
     fn estimate(&mut self, frame: &Frame, steps: &mut StepTimes) -> Result<&Estimate, LightError> {
         steps.time("sample", || self.panorama.take(frame))?;
-        steps.time("sh", || self.estimate.project(&self.panorama, project9));
+        steps.time("sh", || self.estimate.project(&self.panorama, &self.series));
         Ok(&self.estimate)
     }
 }

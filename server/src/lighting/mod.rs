@@ -5,11 +5,13 @@
 //! names them all.
 
 use glam::Vec3;
-use mr360_protocol::light::{DirectionalLight, Lift, SH9};
+use mr360_protocol::light::{DirectionalLight, Lift, SH25};
 
 use crate::frame::Frame;
 
+mod averages;
 mod candidates;
+mod cells;
 mod clipped;
 #[cfg(test)]
 mod closed_forms;
@@ -17,7 +19,6 @@ mod cuts;
 mod directional;
 #[cfg(test)]
 mod every_method;
-mod harmonics;
 mod iorns;
 mod kmeans;
 mod light_sum;
@@ -47,6 +48,7 @@ pub use spec::{MethodError, MethodSpec};
 pub use steps::StepTimes;
 
 use panorama::Panorama;
+use series::Series;
 
 /// Light of one frame, before it has a time.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -63,10 +65,11 @@ pub struct Estimate {
 
 impl Estimate {
     /// Takes over what the panorama holds once its lights are out.
-    fn project(&mut self, panorama: &Panorama, projection: fn(&Panorama, &mut [Vec3; SH9])) {
-        let mut sh = [Vec3::ZERO; SH9];
-        projection(panorama, &mut sh);
-        self.take_over(panorama, &sh);
+    fn project(&mut self, panorama: &Panorama, series: &Series) {
+        let mut sh = [Vec3::ZERO; SH25];
+        let sh = &mut sh[..series.coefficients()];
+        series.project(panorama, sh);
+        self.take_over(panorama, sh);
     }
 
     /// Takes over these coefficients and what the panorama knows of its frame.

@@ -6,15 +6,15 @@
 //! the sky is clipped.
 
 use glam::Vec3;
-use mr360_protocol::light::{DirectionalLight, Lift, MAX_LIGHTS};
+use mr360_protocol::light::{DirectionalLight, Lift, MAX_LIGHTS, SH9};
 use mr360_shaders::colour::IORNS_LUMA;
 
 use super::candidates::{Candidate, Candidates};
-use super::harmonics::project9;
 use super::panorama::Panorama;
 use super::radiance::Planes;
 use super::regions::{Regions, Topology, most_regions};
 use super::sampling::Grid;
+use super::series::Series;
 use super::{Estimate, LightError, LightMethod, StepTimes};
 use crate::frame::Frame;
 
@@ -36,6 +36,7 @@ const SIZE_FACTOR: (f32, f32) = (1.5, 0.5);
 /// The paper's method; see the module.
 pub struct Mr360 {
     panorama: Panorama,
+    series: Series,
     luminance: Vec<f32>,
     blurred: Vec<f32>,
     across: Vec<f32>,
@@ -60,6 +61,7 @@ impl Mr360 {
         let texels = width * UPPER_ROWS;
         Self {
             panorama: Panorama::new(SIZE, Lift::InverseToneMap),
+            series: Series::new(SIZE, SH9),
             luminance: vec![0.0; texels],
             blurred: vec![0.0; texels],
             across: vec![0.0; texels],
@@ -99,7 +101,7 @@ impl LightMethod for Mr360 {
             statistical_threshold(&self.blurred)
         });
         self.find_lights(threshold, steps);
-        steps.time("sh", || self.estimate.project(&self.panorama, project9));
+        steps.time("sh", || self.estimate.project(&self.panorama, &self.series));
         Ok(&self.estimate)
     }
 }

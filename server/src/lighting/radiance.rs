@@ -5,6 +5,9 @@ use glam::{Mat3, Vec3};
 use mr360_protocol::light::Lift;
 use mr360_protocol::video::{Colour, Primaries, Transfer};
 use mr360_shaders::colour::{IORNS_LUMA, bt709_from_primaries, decode_transfer, hlg_display_factor, hlg_scene_light, iorns_factor};
+use pulp::{Arch, Simd, WithSimd};
+
+use super::sampling::CodeRow;
 
 /// Entries of a table over code values in [0, 1]. Rounding to the nearest entry moves a code by at most
 /// 1/8190, an eighth of an 8-bit step, and averages out over the texels.
@@ -28,6 +31,67 @@ pub(super) fn effective_lift(lift: Lift, transfer: Transfer) -> Lift {
     if is_hdr(transfer) { Lift::Linear } else { lift }
 }
 
+/// A transfer that is a power of 2.4 above its toe, as display-referred video has: BT.1886 and sRGB.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct PowerCurve {
+    /// What is raised is `code * scale + shift`.
+    scale: f32,
+    shift: f32,
+    /// Codes from here down are proportional to light, by `slope`.
+    knee: f32,
+    slope: f32,
+}
+
+/// Half of 2.4·1.4: see [`PowerCurve::mean`].
+const SPREAD: f32 = 1.68;
+
+impl PowerCurve {
+    fn of(transfer: Transfer) -> Option<Self> {
+        match transfer {
+            Transfer::Bt709 => Some(Self { scale: 1.0, shift: 0.0, knee: 0.0, slope: 0.0 }),
+            Transfer::Srgb => Some(Self { scale: 1.0 / 1.055, shift: 0.055 / 1.055, knee: 0.040_45, slope: 1.0 / 12.92 }),
+            Transfer::Linear | Transfer::Pq | Transfer::Hlg => None,
+        }
+    }
+
+    /// Mean radiance of codes of this mean and variance.
+    ///
+    /// By Taylor, the mean of ℓ(v) over an area is ℓ(m) + ½ℓ″(m)·σ² + …, with m and σ² the mean and the variance of the codes. For
+    /// ℓ = v^2.4 that is m^0.4·(m² + 1.68σ²). A square law would have no further terms, and the power of 2.4 has small ones.
+    /// The curve is convex between (0, 0) and (1, 1), hence the mean is never above m: evenly black and white, where Taylor
+    /// alone has 0.508, become 0.5.
+    #[inline(always)]
+    fn mean<const TOE: bool>(self, code: f32, variance: f32) -> f32 {
+        let code = unit(code);
+        let mean = if TOE {
+            let base = code * self.scale + self.shift;
+            let root = power_of_two_fifths(base);
+            let even = if code > self.knee { root * (base * base) } else { code * self.slope };
+            even + root * (variance * (SPREAD * self.scale * self.scale))
+        } else {
+            power_of_two_fifths(code) * (code * code + variance * SPREAD)
+        };
+        if mean < code { mean } else { code }
+    }
+}
+
+/// v^0.4 for v in [0, 1], good to 2.7e-4 of it from 1e-4 on: v·z with z = v^-0.6.
+///
+/// A float's bits, read as an integer, are nearly its logarithm, which gives a first z that is good to 5 %. With e = 1 − v³z⁵, what it
+/// lacks is the factor (1 − e)^(−1/5), here a parabola. Nothing but products and sums, so that many are made at once.
+#[inline(always)]
+fn power_of_two_fifths(v: f32) -> f32 {
+    let square = v * v;
+    // 154/256 is 0.6; the difference of integers is a float between 1 and 1e20 for whatever v.
+    let z = f32::from_bits(FIRST_GUESS.wrapping_sub((v.to_bits() >> 8).wrapping_mul(154)));
+    let fourth = (z * z) * (z * z);
+    let e = 1.0 - (square * v) * (fourth * z);
+    (v * z) * (0.999_8 + e * (0.201_35 + e * 0.145_25))
+}
+
+/// With the parabola's coefficients, chosen for the least error from 1e-4 to 1.
+const FIRST_GUESS: u32 = 1_705_200_000;
+
 /// Tables for one lift of one colour.
 pub(super) struct RadianceTable {
     key: (Lift, Colour),
@@ -36,6 +100,9 @@ pub(super) struct RadianceTable {
     /// Factor of a code's luma (Iorns & Rhee 2015, Eq. 2, or its scaled form).
     factor: Box<[f32; ENTRIES]>,
     primaries: Mat3,
+    /// The transfer as a power, where it is one and nothing is lifted.
+    power: Option<PowerCurve>,
+    arch: Arch,
 }
 
 impl RadianceTable {
@@ -60,6 +127,8 @@ impl RadianceTable {
                 Lift::InverseToneMap => iorns_factor(Vec3::splat(luma)),
             }),
             primaries: bt709_from_primaries(colour.primaries),
+            power: PowerCurve::of(colour.transfer).filter(|_| lift == Lift::Linear),
+            arch: Arch::new(),
         }
     }
 
@@ -81,6 +150,24 @@ impl RadianceTable {
     /// The lift that is applied.
     pub(super) fn lift(&self) -> Lift {
         self.key.0
+    }
+
+    /// Whether [`RadianceTable::decode_means`] is there for this curve; otherwise codes must be decoded before they are averaged.
+    pub(super) fn knows_means(&self) -> bool {
+        self.power.is_some()
+    }
+
+    /// Turns means of codes and of the luma's squares into linear BT.709 radiance; see [`PowerCurve::mean`]. The chroma's own
+    /// variance is left out: it is coded at half the resolution, and contrast is in the luma.
+    pub(super) fn decode_means(&self, codes: &CodeRow<'_>, radiance: [&mut [f32]; 3]) {
+        let Some(power) = self.power else { return };
+        let [red, green, blue] = radiance;
+        self.arch.dispatch(DecodeMeans { power, codes, radiance: [&mut *red, &mut *green, &mut *blue] });
+        if self.key.1.primaries != Primaries::Bt709 {
+            for ((r, g), b) in red.iter_mut().zip(green).zip(blue) {
+                [*r, *g, *b] = (self.primaries * Vec3::new(*r, *g, *b)).max(Vec3::ZERO).to_array();
+            }
+        }
     }
 
     /// Turns codes into linear BT.709 radiance in place. Codes of a transfer other than linear are clamped to
@@ -132,7 +219,45 @@ impl RadianceTable {
     }
 }
 
+/// [`RadianceTable::decode_means`] for whatever vectors there are.
+struct DecodeMeans<'a> {
+    power: PowerCurve,
+    codes: &'a CodeRow<'a>,
+    radiance: [&'a mut [f32]; 3],
+}
+
+impl WithSimd for DecodeMeans<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        if self.power.knee > 0.0 { self.run::<true>() } else { self.run::<false>() }
+    }
+}
+
+impl DecodeMeans<'_> {
+    #[inline(always)]
+    fn run<const TOE: bool>(self) {
+        let CodeRow { luma, luma_squares, luma_scale, tint } = self.codes;
+        let [red, green, blue] = self.radiance;
+        let texels = [luma.len(), luma_squares.len(), tint[0].len(), tint[1].len(), tint[2].len(), red.len(), green.len(), blue.len()];
+        let texels = texels.into_iter().fold(usize::MAX, usize::min);
+        let (luma, luma_squares) = (&luma[..texels], &luma_squares[..texels]);
+        let tint = tint.each_ref().map(|tint| &tint[..texels]);
+        let (red, green, blue) = (&mut red[..texels], &mut green[..texels], &mut blue[..texels]);
+        for i in 0..texels {
+            let spread = luma_squares[i] - luma[i] * luma[i];
+            let variance = if spread > 0.0 { spread * (luma_scale * luma_scale) } else { 0.0 };
+            let luma = luma[i] * luma_scale;
+            red[i] = self.power.mean::<TOE>(luma + tint[0][i], variance);
+            green[i] = self.power.mean::<TOE>(luma + tint[1][i], variance);
+            blue[i] = self.power.mean::<TOE>(luma + tint[2][i], variance);
+        }
+    }
+}
+
 /// Clamps to [0, 1]; written as comparisons because these are single instructions.
+#[inline(always)]
 fn unit(v: f32) -> f32 {
     let v = if v > 0.0 { v } else { 0.0 };
     if v < 1.0 { v } else { 1.0 }

@@ -8,14 +8,13 @@
 use std::f64::consts::{PI, TAU};
 
 use glam::{DVec3, Vec3};
-use mr360_protocol::light::SH25;
-use mr360_shaders::sh::{band, basis25};
+use mr360_protocol::light::{SH9, SH25};
+use mr360_shaders::sh::basis25;
+use pulp::{Arch, Simd, WithSimd};
 
 use super::panorama::Panorama;
 use super::sampling::Grid;
 
-/// Values that are summed side by side.
-const LANES: usize = 8;
 /// 1, and sin mλ and cos mλ for every m up to 4.
 const MOST_MOMENTS: usize = 9;
 /// Longitudes at which a basis function is read to find its polynomial: twice the highest degree and one more would do.
@@ -30,9 +29,10 @@ const GAUSS: [(f64, f64); 4] = [
 
 /// Tables for one size of panorama.
 pub(super) struct Series {
-    /// sin λ, cos λ, sin 2λ, … at each column's centre.
-    harmonics: Vec<Vec<f32>>,
-    /// For each row and coefficient, the weight of every moment.
+    arch: Arch,
+    /// sin λ, cos λ, sin 2λ and cos 2λ at each column's centre, then those of 3λ and 4λ.
+    harmonics: Vec<[Vec<f32>; 4]>,
+    /// For each row and moment, what it gives to every coefficient.
     weights: Vec<f64>,
     coefficients: usize,
 }
@@ -40,36 +40,91 @@ pub(super) struct Series {
 impl Series {
     /// Tables for the first `coefficients`, at most 25, of a panorama of this size.
     pub(super) fn new(size: Grid, coefficients: usize) -> Self {
-        let degree = band(coefficients.clamp(1, SH25) - 1);
+        let (degree, depth) = if coefficients <= SH9 { (2, SH9) } else { (4, SH25) };
         let longitude = |column: u32| ((f64::from(column) + 0.5) / f64::from(size.width) - 0.5) * TAU;
         let harmonic = |k: usize| (0..size.width).map(|column| moment_basis(k, longitude(column)) as f32).collect();
-        let rows = (0..size.height).flat_map(|row| (0..coefficients).map(move |i| (row, i)));
-        Self {
-            harmonics: (1..=2 * degree).map(harmonic).collect(),
-            weights: rows.flat_map(|(row, i)| row_weights(size, row, i).into_iter().take(1 + 2 * degree)).collect(),
-            coefficients,
+        let harmonics = (0..degree / 2).map(|pair| std::array::from_fn(|k| harmonic(1 + 4 * pair + k))).collect();
+        let mut weights = Vec::with_capacity(size.height as usize * (1 + 2 * degree) * depth);
+        for row in 0..size.height {
+            let of_row = row_weights(size, row);
+            weights.extend(of_row[..=2 * degree].iter().flat_map(|weights| &weights[..depth]));
         }
+        Self { arch: Arch::new(), harmonics, weights, coefficients: coefficients.min(SH25) }
+    }
+
+    /// How many coefficients the tables are for.
+    pub(super) fn coefficients(&self) -> usize {
+        self.coefficients
     }
 
     /// Writes the coefficients of the panorama's radiance into `sh`, which is as long as the tables are deep.
     pub(super) fn project(&self, panorama: &Panorama, sh: &mut [Vec3]) {
-        let moments = 1 + self.harmonics.len();
-        let mut sums = [DVec3::ZERO; SH25];
-        for (row, weights) in self.weights.chunks_exact(moments * self.coefficients).enumerate() {
-            let mut of_row = [DVec3::ZERO; MOST_MOMENTS];
-            for channel in 0..3 {
-                let values = panorama.row(channel, row);
-                of_row[0][channel] = sum(values);
-                for (moment, harmonic) in of_row[1..].iter_mut().zip(&self.harmonics) {
-                    moment[channel] = dot(values, harmonic);
+        self.arch.dispatch(Project { series: self, panorama, sh });
+    }
+}
+
+/// [`Series::project`] for whatever vectors there are.
+struct Project<'a> {
+    series: &'a Series,
+    panorama: &'a Panorama,
+    sh: &'a mut [Vec3],
+}
+
+impl WithSimd for Project<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        if self.series.coefficients <= SH9 { self.run::<S, 5, SH9>(simd) } else { self.run::<S, 9, SH25>(simd) }
+    }
+}
+
+impl Project<'_> {
+    #[inline(always)]
+    fn run<S: Simd, const MOMENTS: usize, const DEPTH: usize>(self, simd: S) {
+        let mut sums = [[0.0f64; DEPTH]; 3];
+        let weights = self.series.weights.as_chunks::<DEPTH>().0.as_chunks::<MOMENTS>().0;
+        for (row, weights) in weights.iter().enumerate() {
+            for (channel, sums) in sums.iter_mut().enumerate() {
+                let mut of_row = [0.0; MOMENTS];
+                for (pair, harmonics) in self.series.harmonics.iter().enumerate() {
+                    let [one, rest @ ..] = moments(simd, self.panorama.row(channel, row), harmonics);
+                    of_row[0] = one;
+                    of_row[1 + 4 * pair..5 + 4 * pair].copy_from_slice(&rest);
+                }
+                for (moment, weights) in of_row.iter().zip(weights) {
+                    for i in 0..DEPTH {
+                        sums[i] += f64::from(*moment) * weights[i];
+                    }
                 }
             }
-            for (total, weights) in sums.iter_mut().zip(weights.chunks_exact(moments)) {
-                *total += weights.iter().zip(of_row).map(|(weight, moment)| moment * *weight).sum::<DVec3>();
-            }
         }
-        sh.iter_mut().zip(sums).for_each(|(out, sum)| *out = sum.as_vec3());
+        for (i, out) in self.sh.iter_mut().take(DEPTH.min(self.series.coefficients)).enumerate() {
+            *out = DVec3::from_array(sums.map(|sums| sums[i])).as_vec3();
+        }
     }
+}
+
+/// Sums of a row times 1 and times each of four harmonics, as long as the row.
+#[inline(always)]
+fn moments<S: Simd>(simd: S, row: &[f32], harmonics: &[Vec<f32>; 4]) -> [f32; 5] {
+    let (values, rest) = S::as_simd_f32s(row);
+    let [(a, rest_a), (b, rest_b), (c, rest_c), (d, rest_d)] = harmonics.each_ref().map(|harmonic| S::as_simd_f32s(harmonic));
+    let mut sums = [simd.splat_f32s(0.0); 5];
+    let mut add = |value, harmonics: [S::f32s; 4]| {
+        sums[0] = simd.add_f32s(sums[0], value);
+        for k in 0..4 {
+            // Not fused, so that every processor finds the same light.
+            sums[1 + k] = simd.add_f32s(sums[1 + k], simd.mul_f32s(value, harmonics[k]));
+        }
+    };
+    for ((((value, a), b), c), d) in values.iter().zip(a).zip(b).zip(c).zip(d) {
+        add(*value, [*a, *b, *c, *d]);
+    }
+    if !rest.is_empty() {
+        add(simd.partial_load_f32s(rest), [rest_a, rest_b, rest_c, rest_d].map(|rest| simd.partial_load_f32s(rest)));
+    }
+    sums.map(|sum| simd.reduce_sum_f32s(sum))
 }
 
 /// 1, sin λ, cos λ, sin 2λ, cos 2λ, …
@@ -78,59 +133,35 @@ fn moment_basis(k: usize, longitude: f64) -> f64 {
     if k % 2 == 1 { angle.sin() } else { angle.cos() }
 }
 
-/// What each moment of row `row` gives to coefficient `i`.
-fn row_weights(size: Grid, row: u32, i: usize) -> [f64; MOST_MOMENTS] {
+/// What each moment of row `row` gives to every coefficient.
+fn row_weights(size: Grid, row: u32) -> [[f64; SH25]; MOST_MOMENTS] {
     let half_height = PI / f64::from(size.height) / 2.0;
     let centre = PI / 2.0 - (f64::from(row) + 0.5) * 2.0 * half_height;
-    let mut weights = [0.0; MOST_MOMENTS];
-    for (node, weight) in GAUSS {
-        let (y, c) = (centre + node * half_height).sin_cos();
-        let readings: [(f64, f64); READINGS] = std::array::from_fn(|k| {
-            let longitude = k as f64 / READINGS as f64 * TAU;
-            let (sin, cos) = longitude.sin_cos();
-            (longitude, f64::from(basis25(DVec3::new(c * sin, y, -c * cos).as_vec3())[i]))
-        });
-        for (k, out) in weights.iter_mut().enumerate() {
-            let mean = readings.iter().map(|(longitude, value)| value * moment_basis(k, *longitude)).sum::<f64>() / READINGS as f64;
-            *out += weight * half_height * c * mean;
-        }
-    }
     let width = TAU / f64::from(size.width);
-    for (k, out) in weights.iter_mut().enumerate() {
-        // The mean of sin² or cos² is a half; a texel's integral of either is its value at the centre times this.
-        let m = k.div_ceil(2) as f64;
-        *out *= if k == 0 { width } else { 2.0 * 2.0 * (m * width / 2.0).sin() / m };
+    let mut weights = [[0.0; SH25]; MOST_MOMENTS];
+    for (node, share) in GAUSS {
+        let (y, c) = (centre + node * half_height).sin_cos();
+        for reading in 0..READINGS {
+            let longitude = reading as f64 / READINGS as f64 * TAU;
+            let (sin, cos) = longitude.sin_cos();
+            let values = basis25(DVec3::new(c * sin, y, -c * cos).as_vec3());
+            for (k, weights) in weights.iter_mut().enumerate() {
+                // The mean of sin² or cos² is a half; a texel's integral of either is its value at the centre times this.
+                let m = k.div_ceil(2) as f64;
+                let across = if k == 0 { width } else { 2.0 * 2.0 * (m * width / 2.0).sin() / m };
+                let factor = across * share * half_height * c * moment_basis(k, longitude) / READINGS as f64;
+                weights.iter_mut().zip(values).for_each(|(weight, value)| *weight += factor * f64::from(value));
+            }
+        }
     }
     weights
-}
-
-fn sum(values: &[f32]) -> f64 {
-    let mut lanes = [0.0f32; LANES];
-    let chunks = values.chunks_exact(LANES);
-    let rest: f32 = chunks.remainder().iter().sum();
-    for chunk in chunks {
-        lanes.iter_mut().zip(chunk).for_each(|(lane, value)| *lane += value);
-    }
-    lanes.iter().map(|lane| f64::from(*lane)).sum::<f64>() + f64::from(rest)
-}
-
-fn dot(a: &[f32], b: &[f32]) -> f64 {
-    let mut lanes = [0.0f32; LANES];
-    let (left, right) = (a.chunks_exact(LANES), b.chunks_exact(LANES));
-    let rest: f32 = left.remainder().iter().zip(right.remainder()).map(|(a, b)| a * b).sum();
-    for (a, b) in left.zip(right) {
-        for ((lane, a), b) in lanes.iter_mut().zip(a).zip(b) {
-            *lane += a * b;
-        }
-    }
-    lanes.iter().map(|lane| f64::from(*lane)).sum::<f64>() + f64::from(rest)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lighting::harmonics::project9;
-    use mr360_protocol::light::{Lift, SH9};
+    use mr360_protocol::light::Lift;
+    use mr360_shaders::sh::basis9;
 
     /// 30 columns leave a remainder of six beside the lanes.
     fn filled(size: Grid) -> Panorama {
@@ -171,7 +202,11 @@ mod tests {
         let (mut nine, mut all, mut centres) = ([Vec3::ZERO; SH9], [Vec3::ZERO; SH25], [Vec3::ZERO; SH9]);
         Series::new(size, SH9).project(&panorama, &mut nine);
         Series::new(size, SH25).project(&panorama, &mut all);
-        project9(&panorama, &mut centres);
+        for texel in 0..64 * 32 {
+            let (row, column) = (texel / 64, texel % 64);
+            let energy = panorama.radiance(texel) * panorama.geometry.solid_angle_sr[row];
+            centres.iter_mut().zip(basis9(panorama.geometry.direction(row, column))).for_each(|(sum, basis)| *sum += energy * basis);
+        }
         assert!(nine.iter().zip(all).all(|(a, b)| (*a - b).abs().max_element() < 1e-4));
         // Centres are good to 0.3 % of the mean.
         assert!(nine.iter().zip(centres).all(|(a, b)| (*a - b).abs().max_element() < 3e-3 * nine[0].max_element()), "{nine:?} {centres:?}");

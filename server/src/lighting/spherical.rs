@@ -1,7 +1,6 @@
 //! Spherical harmonics alone, of display-linear radiance: the floor that any method with lights has to beat.
 
-use glam::Vec3;
-use mr360_protocol::light::{Lift, SH25};
+use mr360_protocol::light::Lift;
 
 use super::panorama::Panorama;
 use super::sampling::Grid;
@@ -17,7 +16,6 @@ pub(super) struct SphericalHarmonics {
     name: String,
     panorama: Panorama,
     series: Series,
-    coefficients: usize,
     estimate: Estimate,
 }
 
@@ -28,7 +26,6 @@ impl SphericalHarmonics {
             name: format!("sh:{coefficients}"),
             panorama: Panorama::new(SIZE, Lift::Linear),
             series: Series::new(SIZE, coefficients),
-            coefficients,
             estimate: Estimate::default(),
         }
     }
@@ -41,12 +38,7 @@ impl LightMethod for SphericalHarmonics {
 
     fn estimate(&mut self, frame: &Frame, steps: &mut StepTimes) -> Result<&Estimate, LightError> {
         steps.time("sample", || self.panorama.take(frame))?;
-        steps.time("sh", || {
-            let mut sh = [Vec3::ZERO; SH25];
-            let sh = &mut sh[..self.coefficients];
-            self.series.project(&self.panorama, sh);
-            self.estimate.take_over(&self.panorama, sh);
-        });
+        steps.time("sh", || self.estimate.project(&self.panorama, &self.series));
         Ok(&self.estimate)
     }
 }

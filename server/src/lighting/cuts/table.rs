@@ -43,7 +43,7 @@ impl SummedArea {
     pub(super) fn fill(&mut self, panorama: &Panorama) {
         let (width, height) = (panorama.size.width as usize, panorama.size.height as usize);
         let geometry = &panorama.geometry;
-        let [sin_longitude, cos_longitude, ..] = &geometry.harmonics;
+        let [sin_longitude, cos_longitude] = &geometry.sin_cos_longitude;
         self.stride = width + 1;
         self.corners.resize(self.stride * (height + 1), [0.0; 4]);
         for row in 0..height {

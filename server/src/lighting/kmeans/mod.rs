@@ -8,14 +8,14 @@
 mod clusters;
 mod direct;
 
-use mr360_protocol::light::{Lift, MAX_LIGHTS};
+use mr360_protocol::light::{Lift, MAX_LIGHTS, SH9};
 
 use self::clusters::{Clusters, assign, radical_inverse};
 use self::direct::{DirectTexels, Directions};
-use super::harmonics::project9;
 use super::light_sum::{LightSum, rank};
 use super::panorama::Panorama;
 use super::sampling::Grid;
+use super::series::Series;
 use super::{Estimate, LightError, LightMethod, StepTimes};
 use crate::frame::Frame;
 
@@ -29,6 +29,7 @@ pub(super) struct KMeans {
     name: String,
     count: usize,
     panorama: Panorama,
+    series: Series,
     direct: DirectTexels,
     samples: Directions,
     clusters: Clusters,
@@ -45,6 +46,7 @@ impl KMeans {
             name: format!("k-means:{count}"),
             count: count.clamp(1, MAX_LIGHTS),
             panorama: Panorama::new(SIZE, Lift::Linear),
+            series: Series::new(SIZE, SH9),
             direct: DirectTexels::new(texels, SIZE.height as usize),
             samples: Directions::with_capacity(SAMPLES as usize),
             clusters: Clusters::new(SAMPLES as usize, MAX_LIGHTS),
@@ -85,7 +87,7 @@ impl LightMethod for KMeans {
             self.clusters.find(&self.samples, self.count);
         });
         steps.time("lights", || self.find_lights());
-        steps.time("sh", || self.estimate.project(&self.panorama, project9));
+        steps.time("sh", || self.estimate.project(&self.panorama, &self.series));
         Ok(&self.estimate)
     }
 }

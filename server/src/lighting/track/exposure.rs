@@ -8,6 +8,7 @@
 use glam::{DVec3, Vec3};
 use mr360_shaders::colour::{LUMA, luminance};
 
+use super::super::cells::Cells;
 use super::super::panorama::Panorama;
 
 /// Columns of the coarse panorama.
@@ -29,6 +30,7 @@ const CUT_SHARE: f64 = 0.35;
 /// A panorama of 64×32 texels.
 #[derive(Default)]
 pub(in super::super) struct Coarse {
+    cells: Option<Cells>,
     radiance: Vec<Vec3>,
     directions: Vec<(Vec3, f32)>,
 }
@@ -36,27 +38,18 @@ pub(in super::super) struct Coarse {
 impl Coarse {
     /// Averages a panorama whose sides are multiples of 64 and 32.
     pub(in super::super) fn take(&mut self, panorama: &Panorama) {
-        let (width, height) = (panorama.size.width as usize, panorama.size.height as usize);
-        let (columns, rows) = (width / COLUMNS, height / ROWS);
+        let cells = self.cells.get_or_insert_with(|| Cells::new(panorama.size, panorama.size.width / COLUMNS as u32));
+        cells.take(panorama);
         if self.directions.is_empty() {
-            self.directions.extend((0..COLUMNS * ROWS).map(|texel| {
-                let (row, column) = (texel / COLUMNS * rows, texel % COLUMNS * columns);
-                let geometry = &panorama.geometry;
-                let middle = geometry.direction(row, column) + geometry.direction(row + rows - 1, column + columns - 1);
-                let solid_angle_sr: f32 = geometry.solid_angle_sr[row..row + rows].iter().sum::<f32>() * columns as f32;
-                (middle.normalize(), solid_angle_sr)
-            }));
+            let directions = |row: usize| (0..COLUMNS).map(move |column| (row, column));
+            self.directions.extend(
+                (0..ROWS)
+                    .flat_map(directions)
+                    .map(|(row, column)| (cells.geometry.direction(row, column), cells.geometry.solid_angle_sr[row])),
+            );
         }
         self.radiance.clear();
-        self.radiance.resize(COLUMNS * ROWS, Vec3::ZERO);
-        let share = 1.0 / (columns * rows) as f32;
-        for row in 0..ROWS * rows {
-            let [red, green, blue] = [0, 1, 2].map(|channel| panorama.row(channel, row).chunks_exact(columns));
-            let texels = self.radiance[row / rows * COLUMNS..].iter_mut();
-            for (((texel, r), g), b) in texels.zip(red).zip(green).zip(blue) {
-                *texel += Vec3::new(r.iter().sum(), g.iter().sum(), b.iter().sum()) * share;
-            }
-        }
+        self.radiance.extend((0..COLUMNS * ROWS).map(|cell| cells.radiance(cell)));
     }
 
     /// Irradiance that the texels within an angle of a direction give on a surface facing them; `cosine` is the angle's.
