@@ -1,0 +1,90 @@
+//! What methods do over time, frame by frame: a chart a sequence, and one table.
+
+use anyhow::Result;
+
+use super::measures::{Moment, Shown};
+use super::{Run, Watched};
+use crate::chart::{self, Axis, Chart, Mark, Scale, Series};
+use crate::table::Table;
+
+/// Where logarithmic axes end: what is less is drawn here.
+const LEAST_DEG: f64 = 0.01;
+const LEAST_STRENGTH: f64 = 1e-3;
+
+/// One row a sequence, method and frame. Cells are empty where there is no main light, or no truth.
+pub(super) fn csv(all: &[Watched]) -> String {
+    let mut table = Table::new(&[
+        "sequence",
+        "method",
+        "time_s",
+        "lights",
+        "off_deg",
+        "strength",
+        "true_strength",
+        "level_irradiance",
+        "true_level_irradiance",
+    ]);
+    for watched in all {
+        for (run, moment) in watched.runs.iter().flat_map(|run| run.moments.iter().map(move |moment| (run, moment))) {
+            let cell = |value: Option<f64>| value.map(|value| format!("{value:.4}")).unwrap_or_default();
+            table.push([
+                watched.sequence.clone(),
+                run.method.clone(),
+                format!("{:.3}", moment.time_s),
+                moment.estimate.lights.len().to_string(),
+                cell(moment.off_deg()),
+                cell(strength(&moment.estimate)),
+                cell(moment.truth.as_ref().and_then(strength)),
+                cell(Some(moment.estimate.level())),
+                cell(moment.truth.as_ref().map(Shown::level)),
+            ]);
+        }
+    }
+    table.csv()
+}
+
+fn strength(shown: &Shown) -> Option<f64> {
+    shown.main.map(|main| main.strength)
+}
+
+/// File of a sequence's chart.
+pub(super) fn chart_name(sequence: &str) -> String {
+    let word: String = sequence.chars().map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' }).collect();
+    let words: Vec<&str> = word.split('-').filter(|part| !part.is_empty()).collect();
+    format!("lighting-stability-{}.svg", words.join("-"))
+}
+
+/// Three panels over time: error of the main light's direction where a truth is known, its strength, and the irradiance of level ground.
+/// Every estimate is over nothing but itself, so that clipping, which takes light away, is seen beside what varies.
+///
+/// # Errors
+/// When a method gave a number that is none.
+pub(super) fn chart(watched: &Watched) -> Result<String> {
+    let Watched { sequence, runs } = watched;
+    let panel = |what: &str, scale: Scale, of: &dyn Fn(&Moment) -> Option<f64>, truth: &dyn Fn(&Shown) -> Option<f64>| {
+        let mut series: Vec<Series> = runs.iter().filter_map(|run| curve(run.method.clone(), Mark::Curve, run, of)).collect();
+        let truth = |moment: &Moment| moment.truth.as_ref().and_then(truth);
+        series.extend(runs.first().and_then(|run| curve("truth".to_owned(), Mark::Reference, run, &truth)));
+        Chart {
+            title: format!("{sequence}: {what}"),
+            x: Axis { label: "time / s".to_owned(), scale: Scale::Linear },
+            y: Axis { label: what.to_owned(), scale },
+            series,
+        }
+    };
+    let off = |moment: &Moment| moment.off_deg().map(|off| off.max(LEAST_DEG));
+    let lit = |shown: &Shown| strength(shown).map(|strength| strength.max(LEAST_STRENGTH));
+    let panels = [
+        panel("error of direction / °", Scale::Log, &off, &|_| None),
+        panel("strength of the main light", Scale::Log, &|moment| lit(&moment.estimate), &lit),
+        panel("irradiance of level ground", Scale::Linear, &|moment| Some(moment.estimate.level()), &|truth| Some(truth.level())),
+    ];
+    let drawn: Vec<Chart> = panels.into_iter().filter(|panel| !panel.series.is_empty()).collect();
+    chart::stack(&drawn)
+}
+
+/// The pen is lifted where there is no value; none without any.
+fn curve(name: String, mark: Mark, run: &Run, of: &dyn Fn(&Moment) -> Option<f64>) -> Option<Series> {
+    let points: Vec<(f64, f64)> = run.moments.iter().map(|moment| (moment.time_s, of(moment).unwrap_or(f64::NAN))).collect();
+    points.iter().any(|(_, y)| !y.is_nan()).then_some(Series { name, points, mark })
+}
