@@ -16,6 +16,8 @@ mod cuts;
 mod directional;
 #[cfg(test)]
 mod every_method;
+#[cfg(test)]
+mod every_method_over_time;
 mod harmonics;
 mod iorns;
 mod kmeans;

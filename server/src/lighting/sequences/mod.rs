@@ -212,6 +212,13 @@ impl Sequence {
         Self { transfer: Transfer::Linear, ..self }
     }
 
+    /// One frame in `step` of the same.
+    #[cfg(test)]
+    pub(super) fn thinned(self, step: usize) -> Self {
+        let times_us = self.times_us.iter().copied().step_by(step).collect();
+        Self { times_us, faulty: self.faulty.map(|index| index / step), ..self }
+    }
+
     /// The frames, one after the other.
     pub fn shots(&self) -> impl Iterator<Item = Shot> + '_ {
         let mut noise = Noise(0x9E37_79B9_7F4A_7C15);

@@ -62,9 +62,10 @@ pub(super) fn chart_name(sequence: &str) -> String {
 pub(super) fn chart(watched: &Watched) -> Result<String> {
     let Watched { sequence, runs } = watched;
     let panel = |what: &str, scale: Scale, of: &dyn Fn(&Moment) -> Option<f64>, truth: &dyn Fn(&Shown) -> Option<f64>| {
-        let mut series: Vec<Series> = runs.iter().filter_map(|run| curve(run.method.clone(), Mark::Curve, run, of)).collect();
+        // A method that has nothing to show keeps its colour.
+        let mut series: Vec<Series> = runs.iter().map(|run| curve(run.method.clone(), Mark::Curve, run, of)).collect();
         let truth = |moment: &Moment| moment.truth.as_ref().and_then(truth);
-        series.extend(runs.first().and_then(|run| curve("truth".to_owned(), Mark::Reference, run, &truth)));
+        series.extend(runs.first().map(|run| curve("truth".to_owned(), Mark::Reference, run, &truth)).filter(is_drawn));
         Chart {
             title: format!("{sequence}: {what}"),
             x: Axis { label: "time / s".to_owned(), scale: Scale::Linear },
@@ -79,12 +80,63 @@ pub(super) fn chart(watched: &Watched) -> Result<String> {
         panel("strength of the main light", Scale::Log, &|moment| lit(&moment.estimate), &lit),
         panel("irradiance of level ground", Scale::Linear, &|moment| Some(moment.estimate.level()), &|truth| Some(truth.level())),
     ];
-    let drawn: Vec<Chart> = panels.into_iter().filter(|panel| !panel.series.is_empty()).collect();
+    let drawn: Vec<Chart> = panels.into_iter().filter(|panel| panel.series.iter().any(is_drawn)).collect();
     chart::stack(&drawn)
 }
 
-/// The pen is lifted where there is no value; none without any.
-fn curve(name: String, mark: Mark, run: &Run, of: &dyn Fn(&Moment) -> Option<f64>) -> Option<Series> {
-    let points: Vec<(f64, f64)> = run.moments.iter().map(|moment| (moment.time_s, of(moment).unwrap_or(f64::NAN))).collect();
-    points.iter().any(|(_, y)| !y.is_nan()).then_some(Series { name, points, mark })
+/// The pen is lifted where there is no value.
+fn curve(name: String, mark: Mark, run: &Run, of: &dyn Fn(&Moment) -> Option<f64>) -> Series {
+    let points = run.moments.iter().map(|moment| (moment.time_s, of(moment).unwrap_or(f64::NAN))).collect();
+    Series { name, points, mark }
+}
+
+fn is_drawn(series: &Series) -> bool {
+    series.points.iter().any(|(_, y)| !y.is_nan())
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+    use mr360_server::lighting::sequences::Varies;
+
+    use super::super::measures::{Main, Measures};
+    use super::*;
+
+    fn shown(main: Option<Main>) -> Shown {
+        let lights = main.iter().map(|main| (0, main.direction)).collect();
+        Shown { main, lights, surfaces: [DVec3::splat(2.0); 6], ambient: 1.0 }
+    }
+
+    /// A method that finds half of the light until it loses it, and one that knows no lights.
+    fn watched(known: bool) -> Watched {
+        let main = |strength| Some(Main { direction: DVec3::Y, strength });
+        let run = |method: &str, finds: bool| {
+            let moment = |frame: usize| Moment {
+                time_s: frame as f64,
+                estimate: shown(if finds && frame < 2 { main(0.5) } else { None }),
+                truth: known.then(|| shown(main(1.0))),
+            };
+            let moments: Vec<Moment> = (0..4).map(moment).collect();
+            Run { method: method.to_owned(), measures: Measures::of(&moments, &[], Varies::Else), moments }
+        };
+        Watched { sequence: "a lamp, lost".to_owned(), runs: vec![run("finds", true), run("knows", false)] }
+    }
+
+    #[test]
+    fn every_frame_has_its_row() {
+        let csv = csv(&[watched(true)]);
+        assert_eq!(csv.lines().count(), 1 + 8);
+        assert_eq!(csv.lines().nth(2), Some("\"a lamp, lost\",finds,1.000,1,0.0000,0.5000,1.0000,2.0000,2.0000"));
+        assert_eq!(csv.lines().nth(8), Some("\"a lamp, lost\",knows,3.000,0,,,1.0000,2.0000,2.0000"));
+    }
+
+    #[test]
+    fn what_is_not_known_is_not_drawn() {
+        let panels = |known| chart(&watched(known)).unwrap().matches("<svg ").count() - 1;
+        assert_eq!((panels(true), panels(false)), (3, 2));
+        let svg = chart(&watched(true)).unwrap();
+        // Both are in the legend of each panel, and the truth where there is one.
+        assert_eq!([">finds<", ">knows<", ">truth<"].map(|name| svg.matches(name).count()), [3, 3, 2]);
+        assert_eq!(chart_name("a lamp, lost"), "lighting-stability-a-lamp-lost.svg");
+    }
 }

@@ -154,7 +154,7 @@ pub(super) struct Measures {
     pub(super) wander_rms_deg: Option<f64>,
     /// Largest move of the main light between two frames beyond the true one's.
     pub(super) turn_worst_deg: Option<f64>,
-    /// Standard deviation over mean of estimated over true strength of the main light.
+    /// Standard deviation over mean of estimated over true strength of the main light. Not asked of beats, which are to be told apart from the light.
     pub(super) strength_variation: Option<f64>,
     /// The same of all that level ground receives.
     pub(super) level_variation: f64,
@@ -208,7 +208,7 @@ impl Measures {
             off_worst_deg: off.iter().copied().reduce(f64::max),
             wander_rms_deg: wander_rms_deg(moments),
             turn_worst_deg: turn_worst_deg(moments),
-            strength_variation: variation(&strengths),
+            strength_variation: if beats { None } else { variation(&strengths) },
             level_variation: variation(&moments.iter().map(Moment::level).collect::<Vec<_>>()).unwrap_or(0.0),
             events_per_s: events(&estimates) as f64 / duration_s.max(f64::EPSILON),
             true_events_per_s: truths.as_ref().map(|truths| events(truths) as f64 / duration_s.max(f64::EPSILON)),

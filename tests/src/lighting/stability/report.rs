@@ -1,5 +1,7 @@
 //! What the sequences came to: tables and CSV.
 
+use std::fmt;
+
 use super::Watched;
 use super::curves::chart_name;
 use super::measures::Measures;
@@ -21,10 +23,18 @@ struct Column {
     name: &'static str,
     of: Figure,
     table: Option<&'static str>,
+    /// The same of the truth, beside it in the table.
+    truth: Option<Figure>,
 }
 
 const fn column(name: &'static str, of: Figure, table: Option<&'static str>) -> Column {
-    Column { name, of, table }
+    Column { name, of, table, truth: None }
+}
+
+impl Column {
+    const fn beside(self, truth: Figure) -> Self {
+        Self { truth: Some(truth), ..self }
+    }
 }
 
 fn percent(share: Option<f64>) -> Option<f64> {
@@ -57,7 +67,7 @@ static COLUMNS: [Column; 18] = [
         Some("Variation of the main light's strength, standard deviation over mean of estimate over truth in %:"),
     ),
     column("level_variation_percent", |m| percent(Some(m.level_variation)), Some("The same of all that level ground receives, %:")),
-    column("events_per_s", |m| Some(m.events_per_s), Some("Births and deaths a second:")),
+    column("events_per_s", |m| Some(m.events_per_s), Some("Births and deaths a second:")).beside(|m| m.true_events_per_s),
     column("true_events_per_s", |m| m.true_events_per_s, None),
     column(
         "lag_ms",
@@ -68,7 +78,8 @@ static COLUMNS: [Column; 18] = [
         "jump_percent",
         |m| percent(Some(m.jump)),
         Some("Largest change between two frames of what a surface receives, % of the most that one receives:"),
-    ),
+    )
+    .beside(|m| percent(m.true_jump)),
     column("true_jump_percent", |m| percent(m.true_jump), None),
     column("ripple", |m| m.ripple, Some("Ripple of level ground under beating lamps, over the truth's:")),
     column("light_ripple", |m| m.light_ripple, Some("Ripple of the main light under beating lamps, over the truth's:")),
@@ -99,24 +110,53 @@ struct Bound {
     what: &'static str,
     sequences: &'static [&'static str],
     figure: &'static str,
-    /// Met by what is not greater; a negative bound by what is not less than its magnitude.
-    most: f64,
+    limit: Limit,
+}
+
+/// What meets a bound.
+#[derive(Debug, Clone, Copy)]
+enum Limit {
+    AtMost(f64),
+    AtLeast(f64),
+}
+
+impl Limit {
+    fn is_met_by(self, figure: f64) -> bool {
+        match self {
+            Self::AtMost(most) => figure <= most,
+            Self::AtLeast(least) => figure >= least,
+        }
+    }
+}
+
+impl fmt::Display for Limit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::AtMost(most) => write!(f, "≤ {}", number(*most)),
+            Self::AtLeast(least) => write!(f, "≥ {}", number(*least)),
+        }
+    }
 }
 
 const fn bound(what: &'static str, sequences: &'static [&'static str], figure: &'static str, most: f64) -> Bound {
-    Bound { what, sequences, figure, most }
+    Bound { what, sequences, figure, limit: Limit::AtMost(most) }
+}
+
+const fn at_least(what: &'static str, sequences: &'static [&'static str], figure: &'static str, least: f64) -> Bound {
+    Bound { what, sequences, figure, limit: Limit::AtLeast(least) }
 }
 
 const STILL: &[&str] = &["still", CODED, BRIGHT];
 const PATHS: &[&str] = &["over the seam", "over the zenith"];
 const SHARES: &[&str] = &["clipped share", "clipped clouds"];
 const OVERCAST: &[&str] = &["overcast", "even overcast"];
+const SEEN: &[&str] = &["exposure seen", "exposure seen at once"];
 const BEATS: &[&str] = &["lamp beat", "one lamp beats"];
 /// Two frames at 30 a second.
 const TWO_FRAMES_MS: f64 = 66.7;
 
 /// What the default method is held to.
-static BOUNDS: [Bound; 15] = [
+static BOUNDS: [Bound; 17] = [
     bound("still scene: direction about its mean, degrees RMS", STILL, "wander_rms_deg", 0.1),
     bound("still scene: variation of the light, %", STILL, "strength_variation_percent", 1.0),
     bound("still scene: births and deaths a second", STILL, "events_per_s", 0.0),
@@ -128,9 +168,11 @@ static BOUNDS: [Bound; 15] = [
     bound("exposure ramp 1 EV/s: drift of light to ambient, %", &["exposure ramp, linear", "exposure ramp"], "ratio_drift_percent", 5.0),
     bound("sun over seam and zenith: off in any frame, degrees", PATHS, "off_worst_deg", 0.5),
     bound("sun over seam and zenith: births and deaths a second", PATHS, "events_per_s", 0.0),
-    bound("clipped share 0.05 to 0.6: frames in which the light is found, %", SHARES, "found_percent", -100.0),
+    at_least("clipped share 0.05 to 0.6: frames in which the light is found, %", SHARES, "found_percent", 100.0),
     bound("overcast with noise: frames with a light, %", OVERCAST, "invented_percent", 0.0),
     bound("faulty frame: largest change between two frames, %", &["faulty frame"], "jump_percent", 2.0),
+    bound("clipped lamp after it was seen unclipped: strength over the truth's", SEEN, "strength_last", 1.1),
+    at_least("clipped lamp after it was seen unclipped: strength over the truth's", SEEN, "strength_last", 0.9),
     bound("camera shake: births and deaths a second", &["shake"], "events_per_s", 0.0),
 ];
 
@@ -143,22 +185,22 @@ fn bounds(all: &[Watched]) -> Table {
                 continue;
             };
             let figure = COLUMNS.iter().find(|column| column.name == bound.figure).and_then(|column| (column.of)(&run.measures));
-            let met = figure.is_some_and(|figure| if bound.most < 0.0 { figure >= -bound.most } else { figure <= bound.most });
-            let limit = format!("{} {}", if bound.most < 0.0 { '≥' } else { '≤' }, number(bound.most.abs()));
+            let met = figure.is_some_and(|figure| bound.limit.is_met_by(figure));
             let measured = figure.map_or_else(|| "nothing to measure".to_owned(), number);
             let verdict = if met { "met" } else { "**not met**" };
-            table.push([bound.what.to_owned(), (*sequence).to_owned(), limit, measured, verdict.to_owned()]);
+            table.push([bound.what.to_owned(), (*sequence).to_owned(), bound.limit.to_string(), measured, verdict.to_owned()]);
         }
     }
     table
 }
 
-/// A row a sequence, a column a method.
-fn by_sequence(all: &[Watched], figure: Figure) -> Table {
+/// A row a sequence, a column a method, and one for the truth where that has such a figure.
+fn by_sequence(all: &[Watched], column: &Column) -> Table {
     let methods = all.first().into_iter().flat_map(|watched| watched.runs.iter().map(|run| run.method.as_str()));
-    let mut table = Table::new(&["sequence"].into_iter().chain(methods).collect::<Vec<_>>());
+    let mut table = Table::new(&["sequence"].into_iter().chain(methods).chain(column.truth.map(|_| "truth")).collect::<Vec<_>>());
     for watched in all {
-        let figures: Vec<Option<f64>> = watched.runs.iter().map(|run| figure(&run.measures)).collect();
+        let mut figures: Vec<Option<f64>> = watched.runs.iter().map(|run| (column.of)(&run.measures)).collect();
+        figures.extend(column.truth.map(|truth| watched.runs.first().and_then(|run| truth(&run.measures))));
         if figures.iter().any(Option::is_some) {
             let cells = figures.into_iter().map(|value| value.map_or_else(|| "–".to_owned(), short));
             table.push([watched.sequence.clone()].into_iter().chain(cells));
@@ -182,7 +224,7 @@ pub(super) fn markdown(all: &[Watched]) -> String {
         bounds(all).markdown()
     );
     for (column, title) in COLUMNS.iter().filter_map(|column| column.table.map(|title| (column, title))) {
-        text += &format!("\n{title}\n\n{}", by_sequence(all, column.of).markdown());
+        text += &format!("\n{title}\n\n{}", by_sequence(all, column).markdown());
     }
     text += "\nOver time:\n\n";
     for watched in all {
@@ -234,7 +276,9 @@ mod tests {
     #[test]
     fn tables_hold_sequences_that_ask() {
         let all = [watched("still", Measures { lag_s: Some(0.1), ..Measures::default() }), watched("shake", Measures::default())];
-        assert_eq!(by_sequence(&all, |m| ms(m.lag_s)).csv(), "sequence,directional,sh:9\nstill,100,–\n");
+        let table = |name: &str| by_sequence(&all, COLUMNS.iter().find(|column| column.name == name).unwrap()).csv();
+        assert_eq!(table("lag_ms"), "sequence,directional,sh:9\nstill,100,–\n");
+        assert_eq!(table("events_per_s"), "sequence,directional,sh:9,truth\nstill,0,0,–\nshake,0,0,–\n");
         let csv = csv(&all);
         assert!(csv.starts_with("sequence,method,found_percent,") && csv.lines().count() == 5, "{csv}");
         assert!(markdown(&all).contains("| still | 100 | – |"));
