@@ -169,8 +169,8 @@ fn a_jump_of_the_white_balance_is_taken_within_three_frames() {
 }
 
 /// Peak to peak over the middle.
-fn swing(values: Vec<f32>) -> f32 {
-    let (least, most) = values.iter().fold((f32::INFINITY, 0.0f32), |(a, b), v| (a.min(*v), b.max(*v)));
+fn swing(values: impl Iterator<Item = f32>) -> f32 {
+    let (least, most) = values.fold((f32::INFINITY, 0.0f32), |(a, b), v| (a.min(v), b.max(v)));
     2.0 * (most - least) / (most + least)
 }
 
@@ -179,9 +179,9 @@ fn the_beat_of_a_lamp_is_damped_tenfold() {
     let rows = run(&sequences::lamp_beat());
     // No bound on steps: until the beat is known for one it is followed, and that is tested below.
     assert_sound(&rows, 0, 0.3);
-    let beat = swing(rows[60..].iter().map(|row| row.truth.gain.y).collect());
-    let ground = swing(rows[60..].iter().map(|row| irradiance(row, Vec3::Y).1).collect());
-    let light = swing(rows[60..].iter().map(|row| main_light(row).irradiance.y).collect());
+    let beat = swing(rows[60..].iter().map(|row| row.truth.gain.y));
+    let ground = swing(rows[60..].iter().map(|row| irradiance(row, Vec3::Y).1));
+    let light = swing(rows[60..].iter().map(|row| main_light(row).irradiance.y));
     assert!(ground < 0.1 * beat && light < 0.1 * beat, "{beat}: {ground} {light}");
 }
 
@@ -192,10 +192,10 @@ fn other_beats_are_damped() {
         let rows = run(&sequence);
         assert_sound(&rows, 0, 0.3);
         let known = || rows.iter().filter(|row| row.time_s >= 2.0);
-        let beat = swing(known().map(|row| row.truth.irradiance[0].y).collect());
-        let lamp = swing(known().map(|row| row.truth.lights[0].irradiance.y).collect());
-        let ground = swing(known().map(|row| irradiance(row, Vec3::Y).1).collect());
-        let light = swing(known().map(|row| main_light(row).irradiance.y).collect());
+        let beat = swing(known().map(|row| row.truth.irradiance[0].y));
+        let lamp = swing(known().map(|row| row.truth.lights[0].irradiance.y));
+        let ground = swing(known().map(|row| irradiance(row, Vec3::Y).1));
+        let light = swing(known().map(|row| main_light(row).irradiance.y));
         assert!(ground < of_ground * beat && light < of_light * lamp, "{}: {beat} {ground}, {lamp} {light}", sequence.name);
     }
     // One in eight seconds cannot be told from a change of exposure, and is no more than that.

@@ -55,7 +55,6 @@ pub(super) fn chart_name(sequence: &str) -> String {
 }
 
 /// Three panels over time: error of the main light's direction where a truth is known, its strength, and the irradiance of level ground.
-/// Every estimate is over nothing but itself, so that clipping, which takes light away, is seen beside what varies.
 ///
 /// # Errors
 /// When a method gave a number that is none.
@@ -75,10 +74,11 @@ pub(super) fn chart(watched: &Watched) -> Result<String> {
     };
     let off = |moment: &Moment| moment.off_deg().map(|off| off.max(LEAST_DEG));
     let lit = |shown: &Shown| strength(shown).map(|strength| strength.max(LEAST_STRENGTH));
+    let level = |shown: &Shown| Some(shown.level().max(LEAST_STRENGTH));
     let panels = [
         panel("error of direction / °", Scale::Log, &off, &|_| None),
         panel("strength of the main light", Scale::Log, &|moment| lit(&moment.estimate), &lit),
-        panel("irradiance of level ground", Scale::Linear, &|moment| Some(moment.estimate.level()), &|truth| Some(truth.level())),
+        panel("irradiance of level ground", Scale::Log, &|moment| level(&moment.estimate), &level),
     ];
     let drawn: Vec<Chart> = panels.into_iter().filter(|panel| panel.series.iter().any(is_drawn)).collect();
     chart::stack(&drawn)
