@@ -2,7 +2,7 @@
 
 use anyhow::{Result, ensure};
 
-use crate::svg::{Anchor, Svg};
+use crate::svg::{self, Anchor, Svg};
 
 /// Colours that stay apart for colour-blind readers too (Okabe & Ito 2008; the last one Tol 2021).
 const COLOURS: [&str; 9] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#f0e442", "#999933"];
@@ -40,6 +40,10 @@ pub enum Mark {
     Scatter,
     /// Grey dashes in the order given, in steps: right, then up or down. For the front of points that other series draw.
     Front,
+    /// Joined in the order given, without dots; a point whose y is no number lifts the pen. For many points.
+    Curve,
+    /// The same in grey dashes: what curves are to be held against.
+    Reference,
 }
 
 /// Points that belong together.
@@ -66,13 +70,35 @@ pub struct Chart {
     pub series: Vec<Series>,
 }
 
+impl Series {
+    /// The points that are drawn.
+    fn drawn(&self) -> impl Iterator<Item = &(f64, f64)> {
+        let lifts = matches!(self.mark, Mark::Curve | Mark::Reference);
+        self.points.iter().filter(move |(_, y)| !(lifts && y.is_nan()))
+    }
+
+    /// What is drawn without lifting the pen.
+    fn strokes(&self) -> impl Iterator<Item = &[(f64, f64)]> {
+        self.points.split(|(_, y)| y.is_nan()).filter(|stroke| !stroke.is_empty())
+    }
+}
+
+/// Draws charts one below the other into one document.
+///
+/// # Errors
+/// As [`Chart::svg`].
+pub fn stack(charts: &[Chart]) -> Result<String> {
+    let charts = charts.iter().map(Chart::svg).collect::<Result<Vec<_>>>()?;
+    Ok(svg::stack(&charts, SIZE))
+}
+
 impl Chart {
     /// Draws it.
     ///
     /// # Errors
     /// When there is no point, a value is not finite, or one on a logarithmic axis is not positive.
     pub fn svg(&self) -> Result<String> {
-        let all = || self.series.iter().flat_map(|series| &series.points);
+        let all = || self.series.iter().flat_map(Series::drawn);
         let (left, top, right, bottom) = MARGIN;
         let x = Ruler::new(&self.x, all().map(|p| p.0), (left, SIZE.0 - right), &self.title)?;
         let y = Ruler::new(&self.y, all().map(|p| p.1), (SIZE.1 - bottom, top), &self.title)?;
@@ -81,15 +107,27 @@ impl Chart {
         x.draw_across(&mut svg, &self.x.label, &y);
         y.draw_up(&mut svg, &self.y.label, &x);
         for (at, (series, colour)) in self.series.iter().zip(COLOURS.iter().cycle()).enumerate() {
-            let points: Vec<_> = series.points.iter().map(|(vx, vy)| (x.place(*vx), y.place(*vy))).collect();
+            let place = |points: &[(f64, f64)]| points.iter().map(|(vx, vy)| (x.place(*vx), y.place(*vy))).collect::<Vec<_>>();
+            let points = place(&series.points);
             let row = top + 10.0 + at as f64 * (FONT + 8.0);
             svg.text((SIZE.0 - right + 32.0, row), Anchor::Start, FONT, 0.0, &series.name);
+            let sample = [(SIZE.0 - right + 12.0, row - 4.0), (SIZE.0 - right + 28.0, row - 4.0)];
             match series.mark {
                 Mark::Line => svg.polyline(&points, colour, 2.0),
                 Mark::Scatter => {}
                 Mark::Front => {
                     svg.dashes(&steps(&points), FRONT, 1.5);
-                    svg.dashes(&[(SIZE.0 - right + 12.0, row - 4.0), (SIZE.0 - right + 28.0, row - 4.0)], FRONT, 1.5);
+                    svg.dashes(&sample, FRONT, 1.5);
+                    continue;
+                }
+                Mark::Curve => {
+                    series.strokes().for_each(|stroke| svg.polyline(&place(stroke), colour, 1.2));
+                    svg.polyline(&sample, colour, 3.0);
+                    continue;
+                }
+                Mark::Reference => {
+                    series.strokes().for_each(|stroke| svg.dashes(&place(stroke), FRONT, 1.5));
+                    svg.dashes(&sample, FRONT, 1.5);
                     continue;
                 }
             }
@@ -245,6 +283,31 @@ mod tests {
         let svg = chart.svg().unwrap();
         assert_eq!((svg.matches("<circle").count(), svg.matches("stroke-dasharray").count()), (dots, 2));
         assert!(svg.contains(">front<"));
+    }
+
+    #[test]
+    fn a_curve_lifts_its_pen() {
+        let mut chart = chart(Scale::Log, &[(1.0, 2.0), (10.0, 3.0)]);
+        let dots = chart.svg().unwrap().matches("<circle").count();
+        let points = vec![(1.0, 2.0), (2.0, 2.0), (3.0, f64::NAN), (4.0, f64::NAN), (5.0, 2.0), (6.0, 2.0)];
+        for (mark, polylines, dashed) in [(Mark::Curve, 1 + 2 + 1, 0), (Mark::Reference, 1 + 2 + 1, 2 + 1)] {
+            chart.series.truncate(1);
+            chart.series.push(Series { name: "curve".to_owned(), points: points.clone(), mark });
+            let svg = chart.svg().unwrap();
+            assert_eq!((svg.matches("<polyline").count(), svg.matches("stroke-dasharray").count()), (polylines, dashed));
+            assert_eq!(svg.matches("<circle").count(), dots);
+        }
+        // Elsewhere a value that is no number is a fault.
+        chart.series[1].mark = Mark::Line;
+        assert!(chart.svg().unwrap_err().to_string().contains("does not fit"));
+    }
+
+    #[test]
+    fn charts_are_stacked() {
+        let one = chart(Scale::Linear, &[(1.0, 2.0)]);
+        let both = stack(&[one.clone(), one]).unwrap();
+        assert_eq!((both.matches("<svg ").count(), both.matches("</svg>").count()), (3, 3));
+        assert!(both.contains("height=\"840\"") && both.contains("translate(0 420)"));
     }
 
     #[test]

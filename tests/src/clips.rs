@@ -1,7 +1,8 @@
 //! Clips made by the `ffmpeg` command line tool when a test needs them: small, fully known, and nobody's copyright.
 
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, ensure};
 
@@ -33,6 +34,7 @@ pub fn stereo(sandbox: &Sandbox, name: &str, kbits: u32) -> Result<PathBuf> {
     )
 }
 
+const MAKER: &str = "clips are made by the ffmpeg command line tool; run deploy/setup";
 const QUIET: [&str; 5] = ["-hide_banner", "-nostdin", "-loglevel", "error", "-y"];
 
 /// Runs `ffmpeg ARGUMENTS… NAME` and returns the path of the file it made in the sandbox. `arguments` are parted by white space.
@@ -53,6 +55,34 @@ pub fn make_of(sandbox: &Sandbox, name: &str, video: &Path, arguments: &str) -> 
     write(sandbox, name, &mut command)
 }
 
+/// As [`make`], of pictures of `width`×`height` RGB codes at `frame_rate`, which reach ffmpeg one by one. `arguments` say how they are encoded.
+///
+/// # Errors
+/// When ffmpeg is missing or fails.
+pub fn make_from(
+    sandbox: &Sandbox,
+    name: &str,
+    (width, height): (u32, u32),
+    frame_rate: u32,
+    pictures: impl Iterator<Item = Vec<u8>>,
+    arguments: &str,
+) -> Result<PathBuf> {
+    let path = sandbox.path(name);
+    let mut command = Command::new("ffmpeg");
+    command.args(["-hide_banner", "-loglevel", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24"]);
+    command.args(["-s", &format!("{width}x{height}"), "-r", &frame_rate.to_string(), "-i", "-"]);
+    command.args(arguments.split_whitespace()).arg(&path);
+    let mut encoder = command.stdin(Stdio::piped()).stderr(Stdio::piped()).spawn().context(MAKER)?;
+    let mut input = encoder.stdin.take().context("ffmpeg has no standard input")?;
+    // An encoder that has given up closes its input, and says why when it has ended.
+    let sent = pictures.into_iter().try_for_each(|picture| input.write_all(&picture));
+    drop(input);
+    let output = encoder.wait_with_output().context("ffmpeg")?;
+    ensure!(output.status.success(), "{}: ffmpeg failed: {}", path.display(), String::from_utf8_lossy(&output.stderr));
+    sent.with_context(|| format!("{}: ffmpeg took no more pictures", path.display()))?;
+    Ok(path)
+}
+
 fn write(sandbox: &Sandbox, name: &str, command: &mut Command) -> Result<PathBuf> {
     let path = sandbox.path(name);
     run(command.arg(&path), &path)?;
@@ -60,7 +90,7 @@ fn write(sandbox: &Sandbox, name: &str, command: &mut Command) -> Result<PathBuf
 }
 
 fn run(command: &mut Command, path: &Path) -> Result<()> {
-    let output = command.output().context("clips are made by the ffmpeg command line tool; run deploy/setup")?;
+    let output = command.output().context(MAKER)?;
     ensure!(output.status.success(), "{}: ffmpeg failed: {}", path.display(), String::from_utf8_lossy(&output.stderr));
     Ok(())
 }

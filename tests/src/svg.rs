@@ -88,6 +88,19 @@ impl Svg {
     }
 }
 
+/// Documents of one size one below the other.
+#[must_use]
+pub fn stack(documents: &[String], (width, height): (f64, f64)) -> String {
+    let mut body = String::new();
+    for (at, document) in documents.iter().enumerate() {
+        let _ = writeln!(body, "<g transform=\"translate(0 {})\">\n{document}</g>", at as f64 * height);
+    }
+    let height = documents.len() as f64 * height;
+    format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" viewBox=\"0 0 {width} {height}\">\n{body}</svg>\n"
+    )
+}
+
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

@@ -19,6 +19,8 @@ mod cuts;
 mod directional;
 #[cfg(test)]
 mod every_method;
+#[cfg(test)]
+mod every_method_over_time;
 mod iorns;
 mod kmeans;
 mod light_sum;

@@ -5,15 +5,15 @@ use mr360_protocol::light::DirectionalLight;
 use mr360_shaders::equirect::pixel_solid_angle_sr;
 use mr360_shaders::sh;
 
-use super::sequences::{self, Sequence, Truth};
+use super::sequences::{self, SURFACES, Sequence, Truth};
 use super::{Directional, Estimate, LightMethod, StepTimes};
 use crate::frame::Pixels;
 
-/// What the method said of one frame, and what is true.
-struct Row {
-    time_s: f64,
-    truth: Truth,
-    estimate: Estimate,
+/// What a method said of one frame, and what is true.
+pub(super) struct Row {
+    pub(super) time_s: f64,
+    pub(super) truth: Truth,
+    pub(super) estimate: Estimate,
 }
 
 fn run(sequence: &Sequence) -> Vec<Row> {
@@ -62,10 +62,6 @@ fn error_deg(row: &Row) -> f32 {
     degrees(main_light(row).direction, row.truth.lights[0].direction)
 }
 
-fn normals() -> [Vec3; 6] {
-    [Vec3::Y, Vec3::X, Vec3::NEG_X, Vec3::Z, Vec3::NEG_Z, Vec3::NEG_Y]
-}
-
 /// Luminous irradiance of the lights, and of lights and SH together.
 fn irradiance(row: &Row, normal: Vec3) -> (f32, f32) {
     let direct: f32 = row.estimate.lights.iter().map(|light| light.irradiance.y * light.direction.dot(normal).max(0.0)).sum();
@@ -74,13 +70,13 @@ fn irradiance(row: &Row, normal: Vec3) -> (f32, f32) {
 
 /// Largest step from frame to frame of the direct light, and of all light, on six surfaces, relative to the most
 /// that one of them receives.
-fn largest_steps(rows: &[Row]) -> (f32, f32) {
-    let most = largest(rows.iter().flat_map(|row| normals().map(|normal| irradiance(row, normal).1)));
+pub(super) fn largest_steps(rows: &[Row]) -> (f32, f32) {
+    let most = largest(rows.iter().flat_map(|row| SURFACES.map(|normal| irradiance(row, normal).1)));
     let step = |pair: &[Row], normal| {
         let (before, after) = (irradiance(&pair[0], normal), irradiance(&pair[1], normal));
         ((after.0 - before.0).abs() / most, (after.1 - before.1).abs() / most)
     };
-    let steps: Vec<_> = rows.windows(2).flat_map(|pair| normals().map(|normal| step(pair, normal))).collect();
+    let steps: Vec<_> = rows.windows(2).flat_map(|pair| SURFACES.map(|normal| step(pair, normal))).collect();
     (largest(steps.iter().map(|s| s.0)), largest(steps.iter().map(|s| s.1)))
 }
 
@@ -124,7 +120,7 @@ fn lit(rows: &[Row]) -> usize {
 }
 
 /// Energy of lights and SH over the sphere, luminance by its green part.
-fn energy(estimate: &Estimate) -> f32 {
+pub(super) fn energy(estimate: &Estimate) -> f32 {
     estimate.lights.iter().map(|light| light.irradiance.y).sum::<f32>() + estimate.sh[0].y * (4.0 * std::f32::consts::PI).sqrt()
 }
 
@@ -172,19 +168,57 @@ fn a_jump_of_the_white_balance_is_taken_within_three_frames() {
     }
 }
 
+/// Peak to peak over the middle.
+fn swing(values: impl Iterator<Item = f32>) -> f32 {
+    let (least, most) = values.fold((f32::INFINITY, 0.0f32), |(a, b), v| (a.min(v), b.max(v)));
+    2.0 * (most - least) / (most + least)
+}
+
 #[test]
 fn the_beat_of_a_lamp_is_damped_tenfold() {
     let rows = run(&sequences::lamp_beat());
     // No bound on steps: until the beat is known for one it is followed, and that is tested below.
     assert_sound(&rows, 0, 0.3);
-    let swing = |values: Vec<f32>| {
-        let (least, most) = values.iter().fold((f32::INFINITY, 0.0f32), |(a, b), v| (a.min(*v), b.max(*v)));
-        2.0 * (most - least) / (most + least)
-    };
-    let beat = swing(rows[60..].iter().map(|row| row.truth.gain.y).collect());
-    let ground = swing(rows[60..].iter().map(|row| irradiance(row, Vec3::Y).1).collect());
-    let light = swing(rows[60..].iter().map(|row| main_light(row).irradiance.y).collect());
+    let beat = swing(rows[60..].iter().map(|row| row.truth.gain.y));
+    let ground = swing(rows[60..].iter().map(|row| irradiance(row, Vec3::Y).1));
+    let light = swing(rows[60..].iter().map(|row| main_light(row).irradiance.y));
     assert!(ground < 0.1 * beat && light < 0.1 * beat, "{beat}: {ground} {light}");
+}
+
+#[test]
+fn other_beats_are_damped() {
+    // Five a second last five frames each, and of a lamp alone the ambient light is not known to beat.
+    for (sequence, of_ground, of_light) in [(sequences::lamp_beat_60(), 0.2, 0.2), (sequences::one_lamp_beats(), 0.25, 0.1)] {
+        let rows = run(&sequence);
+        assert_sound(&rows, 0, 0.3);
+        let known = || rows.iter().filter(|row| row.time_s >= 2.0);
+        let beat = swing(known().map(|row| row.truth.irradiance[0].y));
+        let lamp = swing(known().map(|row| row.truth.lights[0].irradiance.y));
+        let ground = swing(known().map(|row| irradiance(row, Vec3::Y).1));
+        let light = swing(known().map(|row| main_light(row).irradiance.y));
+        assert!(ground < of_ground * beat && light < of_light * lamp, "{}: {beat} {ground}, {lamp} {light}", sequence.name);
+    }
+    // One in eight seconds cannot be told from a change of exposure, and is no more than that.
+    assert_steady(&run(&sequences::slow_beat()), 0, 0.3, 0.02);
+}
+
+#[test]
+fn an_exposure_that_shows_a_clipped_lamp_is_followed() {
+    for (at_once, seen) in [(false, 135..180), (true, 75..120)] {
+        let rows = run(&sequences::exposure_seen(at_once));
+        assert_eq!(lit(&rows), rows.len());
+        assert_sound(&rows, 0, 0.3);
+        let ratio = |row: &Row| main_light(row).irradiance.y / row.truth.lights[0].irradiance.y;
+        // Where it is seen as it is, but for the lift.
+        assert!(rows[seen].iter().all(|row| (ratio(row) - 1.0).abs() < 0.2), "{}", ratio(&rows[100]));
+        if at_once {
+            for step in [60, 120] {
+                let settled = energy(&rows[step + 59].estimate);
+                let off = largest(rows[step + 2..step + 60].iter().map(|row| (energy(&row.estimate) / settled - 1.0).abs()));
+                assert!(off < 0.05, "{step}: {off}");
+            }
+        }
+    }
 }
 
 #[test]
@@ -286,6 +320,33 @@ fn a_clipped_speck_over_bright_ground_does_not_flicker() {
 #[test]
 fn an_overcast_sky_has_no_light() {
     assert_eq!(lit(&run(&sequences::overcast())), 0);
+    assert_eq!(lit(&run(&sequences::even_overcast())), 0);
+}
+
+#[test]
+fn what_is_no_light_leaves_the_light_alone() {
+    for (sequence, step, varies) in
+        [(sequences::people(), 0.02, 0.01), (sequences::wet_ground(), 0.08, 0.01), (sequences::window_with_bounce(), 0.05, 0.4)]
+    {
+        let rows = run(&sequence);
+        assert_eq!(lit(&rows), rows.len(), "{}", sequence.name);
+        assert_steady(&rows, 0, 0.3, step);
+        let strengths: Vec<f32> = rows.iter().map(|row| main_light(row).irradiance.y).collect();
+        // A bright floor brightens the light that comes of a window as long as its energy is guessed from the floor.
+        assert!(variation(&strengths) < varies, "{}: {}", sequence.name, variation(&strengths));
+        // A red floor is not taken for the camera's white balance.
+        let tint = |row: &Row| main_light(row).irradiance.x / main_light(row).irradiance.z;
+        let drift = largest(rows.iter().map(|row| (tint(row) / tint(&rows[0]) - 1.0).abs()));
+        assert!(drift < 0.02, "{}: {drift}", sequence.name);
+    }
+}
+
+#[test]
+fn a_clipped_cloud_bank_beside_the_sun_does_not_flicker() {
+    let rows = run(&sequences::clipped_clouds());
+    assert_eq!((lit(&rows), comings_and_goings(&rows)), (rows.len(), 0));
+    let (direct, all) = largest_steps(&rows);
+    assert!(direct < 0.03 && all < 0.03, "{direct} {all}");
 }
 
 #[test]

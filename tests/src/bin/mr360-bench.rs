@@ -21,7 +21,7 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Bench {
-    /// Light: accuracy against time of every method on HDR panoramas; steps and share of one core for large frames of a clip.
+    /// Light: accuracy against time of every method on HDR panoramas; stability over time; steps and share of one core for large frames of a clip.
     Lighting(Lighting),
     /// The demo's scene in a viewer beside its server: first picture, frame rate, time of every pass, age of light.
     Render(Render),
@@ -41,7 +41,7 @@ struct Lighting {
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// What is measured; everything unless given.
-    #[arg(long, value_enum, value_delimiter = ',', default_value = "accuracy,large-frames")]
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "accuracy,stability,large-frames")]
     part: Vec<Part>,
     /// Folder of .exr and .hdr panoramas that accuracy is measured on, instead of those that deploy/fetch-media brought.
     #[arg(long, value_name = "FOLDER")]
@@ -68,6 +68,8 @@ struct Lighting {
 enum Part {
     /// Accuracy and time of every method on panoramas.
     Accuracy,
+    /// Stillness, lag and jumps of every method on sequences of known light, a still scene through a codec, and the real clip.
+    Stability,
     /// Steps and share of a core of one method on large frames.
     LargeFrames,
 }
@@ -76,6 +78,7 @@ impl From<Part> for lighting::Part {
     fn from(part: Part) -> Self {
         match part {
             Part::Accuracy => Self::Accuracy,
+            Part::Stability => Self::Stability,
             Part::LargeFrames => Self::LargeFrames,
         }
     }

@@ -1,8 +1,9 @@
-//! Light, measured: accuracy against time for every method on true panoramas, and the share of a core that large live frames take.
+//! Light, measured: accuracy against time for every method on true panoramas, stability over time, and the share of a core that large live
+//! frames take.
 //!
 //! Accuracy: `radiance_map` finds and splits the panoramas, `exposure` makes frames of them, `truth` says what is true,
 //! `irradiance`, `score` and `rendered` measure, `race` runs every method and the `opencv` peer in turn, `report` writes it down.
-//! `large_frames` is the other part.
+//! `stability` and `large_frames` are the other parts.
 
 use std::fs;
 use std::path::PathBuf;
@@ -21,6 +22,7 @@ mod radiance_map;
 mod rendered;
 mod report;
 mod score;
+mod stability;
 mod truth;
 
 /// Folder of the panoramas that `deploy/fetch-media` brings, among the media.
@@ -31,6 +33,8 @@ const PANORAMAS: &str = "hdr";
 pub enum Part {
     /// Accuracy and time of every method on panoramas.
     Accuracy,
+    /// Stillness, lag and jumps of every method over time.
+    Stability,
     /// Steps and share of a core of one method on large frames of the real clip.
     LargeFrames,
 }
@@ -56,7 +60,8 @@ pub struct Options {
     pub out: PathBuf,
 }
 
-/// Runs the bench and writes `lighting.md`; of accuracy `lighting-accuracy.csv` and a chart an exposure; of large frames `lighting.csv`
+/// Runs the bench and writes `lighting.md`; of accuracy `lighting-accuracy.csv` and a chart an exposure; of stability
+/// `lighting-stability.csv`, `lighting-stability-curves.csv` and a chart a sequence; of large frames `lighting.csv`
 /// and the chart `lighting-time.svg`.
 ///
 /// # Errors
@@ -68,6 +73,7 @@ pub fn run(options: &Options) -> Result<()> {
     for part in &options.parts {
         sections.push(match part {
             Part::Accuracy => accuracy(options)?,
+            Part::Stability => stability::run(options)?,
             Part::LargeFrames => large_frames::run(options)?,
         });
     }
