@@ -2,9 +2,9 @@
 
 Inverse tone map, upper half of the working map, 3x3 box blur, threshold at mu + 2 sigma, connected components, lights from the
 excess over the threshold, nine spherical harmonics of the rest. Written to be as fast as OpenCV allows: everything is 8 bits for as
-long as it can be, whatever does not depend on the frame is a table made once, lifted luminance is a table of the 8-bit luma (k Y, as
-the lift scales all channels alike), lifted colour is made only of pixels above the threshold and, for the harmonics, of a map of half
-the size, and no picture is allocated twice. The size-dependent intensity, which the paper does not give, is mr360-server's own choice,
+long as it can be, luma is OpenCV's own (0.299, 0.587, 0.114 where the paper rounds), whatever does not depend on the frame is a table
+made once, lifted luminance is a table of the 8-bit luma (k Y, as the lift scales all channels alike), lifted colour is made only of
+pixels above the threshold and, for the harmonics, of a map of half the size, and no picture is allocated twice. The size-dependent intensity, which the paper does not give, is mr360-server's own choice,
 so that both can be compared.
 
 Speaks lines on stdin and stdout. First it prints OpenCV's version. "size W" sets the working map's width, 600 before it is asked for;
@@ -21,7 +21,6 @@ import numpy as np
 
 MOST_LIGHTS = 64
 KEPT_SHARE = 0.9
-LUMA = np.array([[0.3, 0.59, 0.11]], np.float32)
 # R'G'B' of 8-bit Y'CbCr, BT.709, limited range, offsets in the last column.
 RGB_FROM_YUV = np.array(
     [[255 / 219, 0, 1.5748 * 255 / 224], [255 / 219, -0.187324 * 255 / 224, -0.468124 * 255 / 224], [255 / 219, 1.8556 * 255 / 224, 0]]
@@ -98,7 +97,7 @@ class Map:
     def estimate(self, frame):
         """Coefficients and lights."""
         self.shrink(frame)
-        cv2.transform(self.small[: self.upper], LUMA, dst=self.luma)
+        cv2.cvtColor(self.small[: self.upper], cv2.COLOR_RGB2GRAY, dst=self.luma)
         cv2.LUT(self.luma, LIFTED_LUMA, dst=self.luminance)
         cv2.blur(self.luminance, (3, 3), dst=self.blurred, borderType=cv2.BORDER_REPLICATE)
         mean, deviation = cv2.meanStdDev(self.blurred)
@@ -112,7 +111,7 @@ class Map:
     def harmonics(self):
         """9 x 3, of everything, lights included."""
         cv2.resize(self.small, self.half_size, dst=self.half, interpolation=cv2.INTER_AREA)
-        cv2.transform(self.half, LUMA, dst=self.half_luma)
+        cv2.cvtColor(self.half, cv2.COLOR_RGB2GRAY, dst=self.half_luma)
         cv2.LUT(self.half_luma, FACTOR, dst=self.factor)
         cv2.merge((self.factor, self.factor, self.factor), dst=self.factors)
         cv2.multiply(self.half, self.factors, dst=self.radiance, dtype=cv2.CV_32F)

@@ -6,7 +6,7 @@ use crate::svg::{Anchor, Svg};
 
 /// Colours that stay apart for colour-blind readers too (Okabe & Ito 2008; the last ones Tol 2021).
 const COLOURS: [&str; 12] =
-    ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#f0e442", "#999933", "#882255", "#44aa99", "#999999"];
+    ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#f0e442", "#999933", "#882255", "#44aa99", "#aa4499"];
 /// Of [`Mark::Front`].
 const FRONT: &str = "#888";
 const SIZE: (f64, f64) = (760.0, 420.0);

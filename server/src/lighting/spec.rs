@@ -120,13 +120,15 @@ impl MethodSpec {
         (METHODS[self.method].make)(self.parameter)
     }
 
-    /// Makes the method with a working panorama of `width`×`width / 2` texels, to measure what its own size costs and brings; as many source
-    /// blocks go into a texel as usual. `None` for a method that keeps its size, and for widths that are no power of two from 8 to 1024.
+    /// Makes the method with a working panorama of `width`×`width / 2` texels, to measure what its own size costs and brings. As many source
+    /// blocks go into a texel as usual, or as few as keep the usual number along a row. `None` for a method that keeps its size, and for
+    /// widths that are no power of two from 8 to 1024.
     #[must_use]
     pub fn make_at(self, width: u32) -> Option<Box<dyn LightMethod>> {
-        let resized = METHODS[self.method].resized.as_ref()?;
+        let Resized { usual, make } = METHODS[self.method].resized.as_ref()?;
         let possible = width.is_power_of_two() && (8..=1024).contains(&width);
-        possible.then(|| (resized.make)(self.parameter, Grid { width, height: width / 2, ..resized.usual }))
+        let supersample = usual.supersample.min((usual.width * usual.supersample / width.max(1)).max(1));
+        possible.then(|| make(self.parameter, Grid { width, height: width / 2, supersample }))
     }
 
     /// Columns of the working panorama that [`MethodSpec::make`] gives it, where [`MethodSpec::make_at`] can give it another.

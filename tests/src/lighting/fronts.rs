@@ -44,7 +44,6 @@ pub(super) fn chart(rows: &[Row], exposure: Exposure) -> Result<String> {
     let peers = [opencv::NAME, three::NAME];
     let points: Vec<_> =
         series.iter().filter(|series| !peers.contains(&series.name.as_str())).flat_map(|series| series.points.clone()).collect();
-    series.push(Series { name: "Pareto front".to_owned(), points: pareto_front(&points), mark: Mark::Front });
     let fastest = series.iter().flat_map(|series| &series.points).map(|point| point.0).fold(f64::INFINITY, f64::min);
     for name in &names.oracles {
         let errors: Vec<f64> = rows.iter().filter(shown).filter(|row| row.method == *name).map(|row| row.score.absolute * 100.0).collect();
@@ -53,6 +52,7 @@ pub(super) fn chart(rows: &[Row], exposure: Exposure) -> Result<String> {
             series.push(Series { name: name.clone(), points: vec![point], mark: Mark::Bound });
         }
     }
+    series.push(Series { name: "Pareto front".to_owned(), points: pareto_front(&points), mark: Mark::Front });
     let over = if held_out { "held-out panoramas" } else { "panoramas" };
     let chart = Chart {
         title: format!("{}: median over the {over}", exposure.title()),

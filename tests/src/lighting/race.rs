@@ -9,7 +9,7 @@ use mr360_server::lighting::{LightMethod, MethodSpec, StepTimes};
 use super::exposure::{Exposure, Taken};
 use super::irradiance::Normals;
 use super::name;
-use super::oracle::Oracle;
+use super::oracle::{self, Oracle};
 use super::peer::Peer;
 use super::radiance_map::{Half, RadianceMap};
 use super::rendered::{self, Stage};
@@ -78,10 +78,14 @@ pub(super) fn run(files: &[PathBuf], specs: &[MethodSpec], peers: &mut [Peer], r
         let panorama = name(path);
         eprintln!("lighting: {panorama} ({} of {})", place + 1, files.len());
         let map = RadianceMap::load(path)?;
-        let (truth, pictures) = (Truth::of(&map, &normals), stage.under_truth(&map));
-        for exposure in Exposure::ALL {
-            let taken = exposure.take(&map).with_context(|| path.display().to_string())?;
-            let raced = race(&taken, &map, specs, peers, rounds).with_context(|| path.display().to_string())?;
+        let truth = Truth::of(&map, &normals);
+        let takes = takes(&map).with_context(|| path.display().to_string())?;
+        let maps: Vec<&RadianceMap> = std::iter::once(&map).chain(takes.iter().flat_map(Take::maps)).collect();
+        let mut pictures = stage.under_all(&maps).into_iter();
+        let truly = pictures.next().unwrap_or_default();
+        for Take { exposure, taken, answers } in &takes {
+            let exposure = *exposure;
+            let raced = race(taken, &map, specs, peers, rounds).with_context(|| path.display().to_string())?;
             let reference = raced.iter().find(|entrant| entrant.method == REFERENCE).map_or(f64::NAN, Entrant::time_ms);
             let blank = |method: &str, score, rendered| Row {
                 method: method.to_owned(),
@@ -105,18 +109,41 @@ pub(super) fn run(files: &[PathBuf], specs: &[MethodSpec], peers: &mut [Peer], r
                     quantisation: wire.map(|(_, received)| score::quantisation(&entrant.light, &received, &normals)),
                     time_ms: Some(entrant.time_ms()),
                     time_ratio: Some(entrant.time_ms() / reference),
-                    ..blank(&entrant.method, score, rendered::errors(&stage.under(&entrant.light), &pictures, taken.scale))
+                    ..blank(&entrant.method, score, rendered::errors(&stage.under(&entrant.light), &truly, taken.scale))
                 }
             }));
-            let Some(codes) = &taken.codes else { continue };
-            rows.extend(Oracle::ALL.map(|oracle| {
-                let answer = oracle.answer(&map, taken.scale, codes);
-                let score = Score::of_oracle(&answer, &truth, taken.scale, &normals);
-                blank(oracle.name(), score, rendered::errors(&stage.under_truth(&answer.map), &pictures, taken.scale))
+            rows.extend(answers.iter().zip(&mut pictures).map(|((oracle, answer), pictures)| {
+                let score = Score::of_oracle(answer, &truth, taken.scale, &normals);
+                blank(oracle.name(), score, rendered::errors(&pictures, &truly, taken.scale))
             }));
         }
     }
     Ok(rows)
+}
+
+/// A panorama through one exposure, and what the oracles say of it.
+struct Take {
+    exposure: Exposure,
+    taken: Taken,
+    answers: Vec<(Oracle, oracle::Answer)>,
+}
+
+impl Take {
+    /// The oracles' panoramas.
+    fn maps(&self) -> impl Iterator<Item = &RadianceMap> {
+        self.answers.iter().map(|(_, answer)| &answer.map)
+    }
+}
+
+/// The panorama through every exposure.
+fn takes(map: &RadianceMap) -> Result<Vec<Take>> {
+    let take = |exposure: Exposure| {
+        let taken = exposure.take(map)?;
+        let answer = |codes: &Vec<[u8; 3]>| Vec::from(Oracle::ALL.map(|oracle| (oracle, oracle.answer(map, taken.scale, codes))));
+        let answers = taken.codes.as_ref().map(answer).unwrap_or_default();
+        Ok(Take { exposure, taken, answers })
+    };
+    Exposure::ALL.into_iter().map(take).collect()
 }
 
 /// A method, what it found and how long each round took.

@@ -7,6 +7,7 @@ use super::race::{Row, SWEPT, SWEPT_LIGHTS};
 use super::radiance_map::Half;
 use super::rendered::Object;
 use super::score::Dominant;
+use super::speed::cores;
 use crate::chart::number;
 use crate::samples::percentile;
 use crate::table::Table;
@@ -220,10 +221,10 @@ fn accuracy(rows: &[Row], names: &Names, half: Half) -> String {
 fn cost(rows: &[Row], names: &Names, rounds: u32) -> String {
     let further = names.sweeps.iter().filter(|name| !names.methods.contains(name));
     let all: Vec<String> = names.methods.iter().chain(further).cloned().collect();
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let clock = format!(
-        "Time in ms: one thread, median of {rounds} rounds after a warm-up, all methods in turn, on a machine with {cores} cores. OpenCV reads 8-bit \
-         codes, the methods the same codes as floats:"
+        "Time in ms: one thread, median of {rounds} rounds after a warm-up, all methods in turn, {}. OpenCV reads 8-bit \
+         codes, the methods the same codes as floats:",
+        cores()
     );
     let mut text = "\n### Cost, over both halves\n".to_owned();
     text += &section(&clock, &by_exposure(rows, &all, median_and_worst(|row| row.time_ms, 2)));

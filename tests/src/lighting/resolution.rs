@@ -184,7 +184,7 @@ fn markdown(rows: &[Row], rounds: u32) -> String {
         Some(format!("`{method}` {}", size(width)))
     });
     let mut text = format!(
-        "## Working resolution\n\nMethods made with working panoramas of {} to {} texels; their own are {}. As many blocks of the source go into a texel as usual. \
+        "## Working resolution\n\nMethods made with working panoramas of {} to {} texels; their own are {}. As many blocks of the source go into a texel as usual, or as few as keep the usual number along a row. \
          HDR frames are the panoramas, LDR frames {}×{} yuv420p. Errors are irradiance errors in %, absolute / after the best single scale, median (worst) over \
          the held-out half; times median (worst) over all panoramas, each the median of {rounds} rounds on one thread.\n",
         size(WIDTHS[0]),

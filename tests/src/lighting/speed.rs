@@ -26,8 +26,6 @@ const WORKING_WIDTH: usize = 512;
 const EXPOSURE: Exposure = Exposure::Ldr(95);
 /// Name of OpenCV's run on planar frames.
 const OPENCV_PLANAR: &str = "opencv-mr360, planar";
-/// Rounds of the plain implementation, which takes as long as all others together.
-const PLAIN_ROUNDS: u32 = 5;
 
 /// Somebody's times over one panorama's frame.
 #[derive(Debug, Clone, PartialEq)]
@@ -53,7 +51,7 @@ pub(super) fn run(options: &Options, files: &[PathBuf], mut opencv: Option<&mut 
     if let Some(peer) = &mut opencv {
         peer.set(&format!("size {WORKING_WIDTH}"))?;
     }
-    let mut times = Vec::new();
+    let mut times: Vec<Times> = Vec::new();
     for (place, path) in files.iter().enumerate() {
         eprintln!("lighting: speed on {} ({} of {})", name(path), place + 1, files.len());
         times.extend(race(path, &specs, opencv.as_deref_mut(), options.rounds).with_context(|| path.display().to_string())?);
@@ -63,46 +61,37 @@ pub(super) fn run(options: &Options, files: &[PathBuf], mut opencv: Option<&mut 
     Ok(markdown(&times, opencv.is_some(), options.rounds))
 }
 
-/// Round by round everybody once, after a round that warms up.
-fn race(path: &Path, specs: &[MethodSpec], opencv: Option<&mut Peer>, rounds: u32) -> Result<Vec<Times>> {
+/// Round by round everybody once, after a round that warms up, so that whatever else the machine does meets all of them alike, and nobody
+/// finds in the caches what the others have pushed out. Peers are handed the frame anew each time, which is not timed.
+fn race(path: &Path, specs: &[MethodSpec], mut opencv: Option<&mut Peer>, rounds: u32) -> Result<Vec<Times>> {
     let map = RadianceMap::load(path)?;
     let video = VideoFrame::of(&map, EXPOSURE.scale(&map)?)?;
     let mut methods: Vec<(MethodSpec, Box<dyn LightMethod>)> = specs.iter().map(|spec| (*spec, spec.make())).collect();
-    let entrant = |name: &str| Times { name: name.to_owned(), panorama: super::name(path), rounds_ms: Vec::new() };
-    let mut times: Vec<Times> = specs.iter().map(|spec| entrant(&spec.to_string())).collect();
+    let peers: &[&str] = if opencv.is_some() { &[opencv::NAME, OPENCV_PLANAR] } else { &[] };
+    let names = specs.iter().map(ToString::to_string).chain(peers.iter().chain(&[plain::NAME]).map(|name| (*name).to_owned()));
+    let mut times: Vec<Times> = names.map(|name| Times { name, panorama: super::name(path), rounds_ms: Vec::new() }).collect();
     for round in 0..=rounds {
-        for ((spec, method), times) in methods.iter_mut().zip(&mut times) {
+        let mut elapsed_ms = Vec::with_capacity(times.len());
+        for (spec, method) in &mut methods {
             let started = Instant::now();
             let estimated = method.estimate(&video.frame, &mut StepTimes::default()).map(|_| ());
-            let elapsed_ms = started.elapsed().as_secs_f64() * 1e3;
+            elapsed_ms.push(started.elapsed().as_secs_f64() * 1e3);
             estimated.with_context(|| spec.to_string())?;
-            if round > 0 {
-                times.rounds_ms.push(elapsed_ms);
-            }
         }
-    }
-    if let Some(peer) = opencv {
-        let (mut packed, mut planar) = (entrant(opencv::NAME), entrant(OPENCV_PLANAR));
-        peer.frame(&video.codes, SIZE.0)?;
-        packed.rounds_ms = peer_rounds(peer, rounds)?;
-        peer.send("planes", SIZE.0, SIZE.1, &video.planes)?;
-        planar.rounds_ms = peer_rounds(peer, rounds)?;
-        times.extend([packed, planar]);
-    }
-    let mut plainly = entrant(plain::NAME);
-    for _ in 0..rounds.min(PLAIN_ROUNDS) {
+        if let Some(peer) = &mut opencv {
+            peer.frame(&video.codes, SIZE.0)?;
+            elapsed_ms.push(peer.run()?);
+            peer.send("planes", SIZE.0, SIZE.1, &video.planes)?;
+            elapsed_ms.push(peer.run()?);
+        }
         let started = Instant::now();
         std::hint::black_box(plain::estimate(&video.codes, SIZE.0, WORKING_WIDTH));
-        plainly.rounds_ms.push(started.elapsed().as_secs_f64() * 1e3);
+        elapsed_ms.push(started.elapsed().as_secs_f64() * 1e3);
+        if round > 0 {
+            times.iter_mut().zip(elapsed_ms).for_each(|(times, ms)| times.rounds_ms.push(ms));
+        }
     }
-    times.push(plainly);
     Ok(times)
-}
-
-fn peer_rounds(peer: &mut Peer, rounds: u32) -> Result<Vec<f64>> {
-    let mut all = (0..=rounds).map(|_| peer.run()).collect::<Result<Vec<f64>>>()?;
-    all.remove(0);
-    Ok(all)
 }
 
 /// Names in the order of the race.
@@ -167,7 +156,7 @@ fn markdown(times: &[Times], opencv_raced: bool, rounds: u32) -> String {
         };
         let spec = name.parse::<MethodSpec>();
         let width = spec.map_or(Some(WORKING_WIDTH as u32), MethodSpec::usual_width);
-        let map = width.map_or_else(String::new, |width| format!("{width}×{}", width / 2));
+        let map = width.map_or_else(|| "its own".to_owned(), |width| format!("{width}×{}", width / 2));
         table.push([name.to_owned(), map, quantile(0.5), quantile(0.95), over(plain::NAME), over(opencv::NAME), over(OPENCV_PLANAR)]);
     }
     let peers = if opencv_raced {
@@ -186,13 +175,18 @@ fn markdown(times: &[Times], opencv_raced: bool, rounds: u32) -> String {
         SIZE.0,
         SIZE.1,
         EXPOSURE.title(),
-        pinned(&std::fs::read_to_string("/proc/self/status").unwrap_or_default()),
+        cores(),
         plain::NAME,
         table.markdown(),
     )
 }
 
-/// Which cores the race may run on, from `/proc/self/status`.
+/// Which cores this process and its peers may run on.
+pub(super) fn cores() -> String {
+    pinned(&std::fs::read_to_string("/proc/self/status").unwrap_or_default())
+}
+
+/// The same, from what the kernel says in `/proc/self/status`.
 fn pinned(status: &str) -> String {
     let allowed = status.lines().find_map(|line| line.strip_prefix("Cpus_allowed_list:")).map(str::trim);
     match allowed {
