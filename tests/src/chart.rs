@@ -4,8 +4,9 @@ use anyhow::{Result, ensure};
 
 use crate::svg::{self, Anchor, Svg};
 
-/// Colours that stay apart for colour-blind readers too (Okabe & Ito 2008; the last one Tol 2021).
-const COLOURS: [&str; 9] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#f0e442", "#999933"];
+/// Colours that stay apart for colour-blind readers too (Okabe & Ito 2008; the last ones Tol 2021).
+const COLOURS: [&str; 12] =
+    ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#f0e442", "#999933", "#882255", "#44aa99", "#aa4499"];
 /// Of [`Mark::Front`].
 const FRONT: &str = "#888";
 const SIZE: (f64, f64) = (760.0, 420.0);
@@ -44,6 +45,9 @@ pub enum Mark {
     Curve,
     /// The same in grey dashes: what curves are to be held against.
     Reference,
+    /// A dashed line across the whole chart at the height of each point, with an empty dot at its left end. For bounds, which have no x of their
+    /// own: that of the points is not drawn, but has to lie within the chart.
+    Bound,
 }
 
 /// Points that belong together.
@@ -104,7 +108,7 @@ impl Chart {
         let y = Ruler::new(&self.y, all().map(|p| p.1), (SIZE.1 - bottom, top), &self.title)?;
         let mut svg = Svg::new(SIZE.0, SIZE.1);
         svg.text((left, top - 18.0), Anchor::Start, FONT + 3.0, 0.0, &self.title);
-        x.draw_across(&mut svg, &self.x.label, &y);
+        x.draw_across(&mut svg, &self.x.label, y.pixels);
         y.draw_up(&mut svg, &self.y.label, &x);
         for (at, (series, colour)) in self.series.iter().zip(COLOURS.iter().cycle()).enumerate() {
             let place = |points: &[(f64, f64)]| points.iter().map(|(vx, vy)| (x.place(*vx), y.place(*vy))).collect::<Vec<_>>();
@@ -130,6 +134,15 @@ impl Chart {
                     svg.dashes(&sample, FRONT, 1.5);
                     continue;
                 }
+                Mark::Bound => {
+                    for ((_, height), (_, value)) in points.iter().zip(&series.points) {
+                        svg.dashes(&[(left, *height), (SIZE.0 - right, *height)], colour, 1.5);
+                        svg.ring((left, *height), 3.5, colour, &format!("{}: {}", series.name, number(*value)));
+                    }
+                    svg.dashes(&sample, colour, 1.5);
+                    svg.ring((SIZE.0 - right + 20.0, row - 4.0), 5.0, colour, &series.name);
+                    continue;
+                }
             }
             for (place, (vx, vy)) in points.iter().zip(&series.points) {
                 svg.dot(*place, 3.5, colour, &format!("{}: {}, {}", series.name, number(*vx), number(*vy)));
@@ -147,7 +160,7 @@ fn steps(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
 }
 
 /// An axis with its range, laid between two pixels.
-struct Ruler {
+pub(crate) struct Ruler {
     scale: Scale,
     range: (f64, f64),
     pixels: (f64, f64),
@@ -155,7 +168,8 @@ struct Ruler {
 }
 
 impl Ruler {
-    fn new(axis: &Axis, values: impl Iterator<Item = f64>, pixels: (f64, f64), title: &str) -> Result<Self> {
+    /// A range around `values`, from the first of `pixels` to the second; errors name the chart by its title.
+    pub(crate) fn new(axis: &Axis, values: impl Iterator<Item = f64>, pixels: (f64, f64), title: &str) -> Result<Self> {
         let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
         for value in values {
             let fits = value.is_finite() && (axis.scale == Scale::Linear || value > 0.0);
@@ -171,7 +185,8 @@ impl Ruler {
         Ok(Self { scale: axis.scale, range, pixels, ticks })
     }
 
-    fn place(&self, value: f64) -> f64 {
+    /// The pixel of a value.
+    pub(crate) fn place(&self, value: f64) -> f64 {
         let along = match self.scale {
             Scale::Linear => (value - self.range.0) / (self.range.1 - self.range.0),
             Scale::Log => (value / self.range.0).ln() / (self.range.1 / self.range.0).ln(),
@@ -179,8 +194,8 @@ impl Ruler {
         self.pixels.0 + along * (self.pixels.1 - self.pixels.0)
     }
 
-    fn draw_across(&self, svg: &mut Svg, label: &str, up: &Self) {
-        let (bottom, top) = up.pixels;
+    /// Draws it from left to right, its lines from the first to the second of these heights.
+    pub(crate) fn draw_across(&self, svg: &mut Svg, label: &str, (bottom, top): (f64, f64)) {
         for &tick in &self.ticks {
             let x = self.place(tick);
             svg.line((x, bottom), (x, top), "#ddd", 1.0);
@@ -308,6 +323,17 @@ mod tests {
         let both = stack(&[one.clone(), one]).unwrap();
         assert_eq!((both.matches("<svg ").count(), both.matches("</svg>").count()), (3, 3));
         assert!(both.contains("height=\"840\"") && both.contains("translate(0 420)"));
+    }
+
+    #[test]
+    fn a_bound_is_dashed_across_the_chart_and_hollow() {
+        let mut chart = chart(Scale::Log, &[(1.0, 2.0), (10.0, 3.0)]);
+        chart.series.push(Series { name: "best".to_owned(), points: vec![(1.0, 1.5)], mark: Mark::Bound });
+        let svg = chart.svg().unwrap();
+        assert!(svg.contains("best: 1.5") && svg.contains(">best<"));
+        // On the chart and in the legend.
+        assert_eq!((svg.matches("stroke-dasharray").count(), svg.matches("fill=\"#fff\" stroke").count()), (2, 2));
+        assert!(svg.contains("points=\"76.0,") && svg.contains("570.0,"));
     }
 
     #[test]

@@ -65,6 +65,23 @@ impl Svg {
         self.element(format_args!("<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{radius}\" fill=\"{colour}\"><title>{title}</title></circle>"));
     }
 
+    /// An empty disc's rim; `title` appears under the pointer.
+    pub fn ring(&mut self, (x, y): (f64, f64), radius: f64, colour: &str, title: &str) {
+        let (colour, title) = (escaped(colour), escaped(title));
+        self.element(format_args!(
+            "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{radius}\" fill=\"#fff\" stroke=\"{colour}\" stroke-width=\"2\"><title>{title}</title></circle>"
+        ));
+    }
+
+    /// A filled rectangle between two corners; `title` appears under the pointer.
+    pub fn bar(&mut self, (left, top): (f64, f64), (right, bottom): (f64, f64), colour: &str, title: &str) {
+        let (width, height) = ((right - left).max(0.0), (bottom - top).max(0.0));
+        let (colour, title) = (escaped(colour), escaped(title));
+        self.element(format_args!(
+            "<rect x=\"{left:.1}\" y=\"{top:.1}\" width=\"{width:.1}\" height=\"{height:.1}\" fill=\"{colour}\"><title>{title}</title></rect>"
+        ));
+    }
+
     /// One line of text, its baseline through the point, turned clockwise by `turn_deg` about it.
     pub fn text(&mut self, (x, y): (f64, f64), anchor: Anchor, size: f64, turn_deg: f64, text: &str) {
         let anchor = match anchor {

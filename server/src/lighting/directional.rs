@@ -24,9 +24,7 @@ use super::{Estimate, LightError, LightMethod, StepTimes};
 use crate::frame::Frame;
 
 /// Working panorama.
-const SIZE: Grid = Grid { width: 512, height: 256, supersample: 2 };
-/// Rows of the upper hemisphere.
-const UPPER_ROWS: usize = 128;
+pub(super) const SIZE: Grid = Grid { width: 512, height: 256, supersample: 2 };
 /// Most lights of a frame.
 pub const MOST_LIGHTS: usize = 8;
 /// A region is a light from this share of the upper hemisphere's energy on: its shadow takes at most twice that share
@@ -55,16 +53,23 @@ pub struct Directional {
 
 impl Default for Directional {
     fn default() -> Self {
-        let width = SIZE.width as usize;
+        Self::with_size(SIZE)
+    }
+}
+
+impl Directional {
+    /// On a working panorama of another size, twice as wide as high; see [`super::MethodSpec::make_at`].
+    pub(super) fn with_size(size: Grid) -> Self {
+        let (width, upper_rows) = (size.width as usize, size.height as usize / 2);
         Self {
-            panorama: Panorama::new(SIZE, Lift::Linear),
-            recoverer: Recoverer::new(SIZE),
-            series: Series::new(SIZE, SH25),
+            panorama: Panorama::new(size, Lift::Linear),
+            recoverer: Recoverer::new(size),
+            series: Series::new(size, SH25),
             sh: [Vec3::ZERO; SH25],
-            luminance: vec![0.0; width * UPPER_ROWS],
-            regions: Regions::new(width, UPPER_ROWS),
-            candidates: Candidates::new(most_regions(width, UPPER_ROWS)),
-            clipped: Clipped::new(most_regions(width, UPPER_ROWS)),
+            luminance: vec![0.0; width * upper_rows],
+            regions: Regions::new(width, upper_rows),
+            candidates: Candidates::new(most_regions(width, upper_rows)),
+            clipped: Clipped::new(most_regions(width, upper_rows)),
             observations: Vec::with_capacity(MOST_OBSERVATIONS),
             coarse: Coarse::default(),
             tracker: Tracker::new(Bounds { birth: LEAST_SHARE, death: LAST_SHARE, lights: MOST_LIGHTS }),
@@ -93,7 +98,7 @@ impl Statistics {
 
 impl Directional {
     fn statistics(&mut self) -> Statistics {
-        let width = SIZE.width as usize;
+        let width = self.panorama.size.width as usize;
         let (mut first, mut second, mut solid_angle, mut peak) = (0.0, 0.0, 0.0, 0.0f32);
         for (row, luminance) in self.luminance.chunks_exact_mut(width).enumerate() {
             let [red, green, blue] = [0, 1, 2].map(|channel| self.panorama.row(channel, row));
@@ -115,7 +120,7 @@ impl Directional {
     /// Observations of a frame that clips, if it has any clipped region in the sky; what is moved between them is moved in the SH, too.
     fn find_clipped(&mut self, statistics: &Statistics, recovered: &Recovered) -> bool {
         let clipped = &self.recoverer.clipped()[..self.luminance.len()];
-        self.regions.find(SIZE.width as usize, clipped, Topology::Panorama, |degree| degree > clipped::INSIDE);
+        self.regions.find(self.panorama.size.width as usize, clipped, Topology::Panorama, |degree| degree > clipped::INSIDE);
         let sky = Sky {
             panorama: &self.panorama,
             clipped,
@@ -134,8 +139,9 @@ impl Directional {
     /// Observations of any other frame.
     fn find_candidates(&mut self, statistics: &Statistics, steps: &mut StepTimes) {
         let threshold = statistics.threshold();
+        let width = self.panorama.size.width as usize;
         steps.time("regions", || {
-            self.regions.find(SIZE.width as usize, &self.luminance, Topology::Panorama, |luminance| luminance > threshold);
+            self.regions.find(width, &self.luminance, Topology::Panorama, |luminance| luminance > threshold);
         });
         steps.time("candidates", || {
             self.candidates.collect(&self.panorama, &self.regions, LUMA, threshold);

@@ -20,9 +20,7 @@ use crate::frame::Frame;
 
 /// Section 6.3: the upper half is 600×150. The lower half is needed for the residual only. The tone map is inverted
 /// at twice that resolution, before the resampling.
-const SIZE: Grid = Grid { width: 600, height: 300, supersample: 2 };
-/// Rows of the upper half.
-const UPPER_ROWS: usize = 150;
+pub(super) const SIZE: Grid = Grid { width: 600, height: 300, supersample: 2 };
 /// Section 4.1: the smallest number of lights that hold this share of all detected irradiance is kept.
 const KEPT_SHARE: f64 = 0.9;
 /// Relative margin over the mean that a threshold needs, so that rounding in an even sky makes no light.
@@ -57,24 +55,30 @@ impl Mr360 {
     /// lifted panorama's energy. It stands in for light lost to clipping, so HDR frames are never given it.
     #[must_use]
     pub fn new(size_intensity: bool) -> Self {
-        let width = SIZE.width as usize;
-        let texels = width * UPPER_ROWS;
+        Self::with_size(SIZE, size_intensity)
+    }
+
+    /// On a working panorama of another size, twice as wide as high; see [`super::MethodSpec::make_at`].
+    pub(super) fn with_size(size: Grid, size_intensity: bool) -> Self {
+        let (width, upper_rows) = (size.width as usize, size.height as usize / 2);
+        let texels = width * upper_rows;
         Self {
-            panorama: Panorama::new(SIZE, Lift::InverseToneMap),
-            series: Series::new(SIZE, SH9),
+            panorama: Panorama::new(size, Lift::InverseToneMap),
+            series: Series::new(size, SH9),
             luminance: vec![0.0; texels],
             blurred: vec![0.0; texels],
             across: vec![0.0; texels],
-            regions: Regions::new(width, UPPER_ROWS),
-            candidates: Candidates::new(most_regions(width, UPPER_ROWS)),
+            regions: Regions::new(width, upper_rows),
+            candidates: Candidates::new(most_regions(width, upper_rows)),
             estimate: Estimate { lights: Vec::with_capacity(MAX_LIGHTS), ..Estimate::default() },
             size_intensity,
         }
     }
 
     fn find_lights(&mut self, threshold: f32, steps: &mut StepTimes) {
+        let width = self.panorama.size.width as usize;
         steps.time("regions", || {
-            self.regions.find(SIZE.width as usize, &self.blurred, Topology::Flat, |luminance| luminance > threshold);
+            self.regions.find(width, &self.blurred, Topology::Flat, |luminance| luminance > threshold);
         });
         steps.time("lights", || {
             self.candidates.collect(&self.panorama, &self.regions, IORNS_LUMA, threshold);
@@ -97,7 +101,7 @@ impl LightMethod for Mr360 {
         steps.time("sample", || self.panorama.take(frame))?;
         let threshold = steps.time("threshold", || {
             luminance(&self.panorama.channels, &mut self.luminance);
-            box_blur(&self.luminance, SIZE.width as usize, &mut self.across, &mut self.blurred);
+            box_blur(&self.luminance, self.panorama.size.width as usize, &mut self.across, &mut self.blurred);
             statistical_threshold(&self.blurred)
         });
         self.find_lights(threshold, steps);

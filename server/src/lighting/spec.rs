@@ -7,14 +7,22 @@ use mr360_protocol::light::{MAX_LIGHTS, SH9, SH25};
 
 use super::cuts::{LightCuts, Rule};
 use super::kmeans::KMeans;
-use super::spherical::SphericalHarmonics;
-use super::{Directional, Iorns, LightMethod, Mr360};
+use super::sampling::Grid;
+use super::spherical::{self, SphericalHarmonics};
+use super::{Directional, Iorns, LightMethod, Mr360, directional, mr360};
 
 /// One method's entry in [`METHODS`].
 struct Entry {
     name: &'static str,
     parameter: Option<Parameter>,
     make: fn(usize) -> Box<dyn LightMethod>,
+    resized: Option<Resized>,
+}
+
+/// How a method is made with a working panorama of another size.
+struct Resized {
+    usual: Grid,
+    make: fn(usize, Grid) -> Box<dyn LightMethod>,
 }
 
 /// The number after a method's name.
@@ -57,17 +65,31 @@ const fn lights() -> Option<Parameter> {
 
 /// Every method. The first is the default.
 static METHODS: [Entry; 7] = [
-    Entry { name: "directional", parameter: None, make: |_| Box::new(Directional::default()) },
-    Entry { name: "mr360", parameter: None, make: |_| Box::new(Mr360::default()) },
-    Entry { name: "iorns", parameter: None, make: |_| Box::new(Iorns::default()) },
+    Entry {
+        name: "directional",
+        parameter: None,
+        make: |_| Box::new(Directional::default()),
+        resized: Some(Resized { usual: directional::SIZE, make: |_, size| Box::new(Directional::with_size(size)) }),
+    },
+    Entry {
+        name: "mr360",
+        parameter: None,
+        make: |_| Box::new(Mr360::default()),
+        resized: Some(Resized { usual: mr360::SIZE, make: |_, size| Box::new(Mr360::with_size(size, true)) }),
+    },
+    Entry { name: "iorns", parameter: None, make: |_| Box::new(Iorns::default()), resized: None },
     Entry {
         name: "sh",
         parameter: Some(Parameter { meaning: "number of coefficients", allowed: Allowed::OneOf(&[SH9, SH25]), default: SH9 }),
         make: |coefficients| Box::new(SphericalHarmonics::new(coefficients)),
+        resized: Some(Resized {
+            usual: spherical::SIZE,
+            make: |coefficients, size| Box::new(SphericalHarmonics::with_size(size, coefficients)),
+        }),
     },
-    Entry { name: "median-cut", parameter: lights(), make: |lights| Box::new(LightCuts::new(Rule::Median, lights)) },
-    Entry { name: "variance-cut", parameter: lights(), make: |lights| Box::new(LightCuts::new(Rule::Variance, lights)) },
-    Entry { name: "k-means", parameter: lights(), make: |lights| Box::new(KMeans::new(lights)) },
+    Entry { name: "median-cut", parameter: lights(), make: |lights| Box::new(LightCuts::new(Rule::Median, lights)), resized: None },
+    Entry { name: "variance-cut", parameter: lights(), make: |lights| Box::new(LightCuts::new(Rule::Variance, lights)), resized: None },
+    Entry { name: "k-means", parameter: lights(), make: |lights| Box::new(KMeans::new(lights)), resized: None },
 ];
 
 /// A light method and its parameter, as `--method` names them: `NAME` or `NAME:N`. What cannot be made cannot be parsed.
@@ -96,6 +118,23 @@ impl MethodSpec {
     #[must_use]
     pub fn make(self) -> Box<dyn LightMethod> {
         (METHODS[self.method].make)(self.parameter)
+    }
+
+    /// Makes the method with a working panorama of `width`×`width / 2` texels, to measure what its own size costs and brings. As many source
+    /// blocks go into a texel as usual, or as few as keep the usual number along a row. `None` for a method that keeps its size, and for
+    /// widths that are no power of two from 8 to 1024.
+    #[must_use]
+    pub fn make_at(self, width: u32) -> Option<Box<dyn LightMethod>> {
+        let Resized { usual, make } = METHODS[self.method].resized.as_ref()?;
+        let possible = width.is_power_of_two() && (8..=1024).contains(&width);
+        let supersample = usual.supersample.min((usual.width * usual.supersample / width.max(1)).max(1));
+        possible.then(|| make(self.parameter, Grid { width, height: width / 2, supersample }))
+    }
+
+    /// Columns of the working panorama that [`MethodSpec::make`] gives it, where [`MethodSpec::make_at`] can give it another.
+    #[must_use]
+    pub fn usual_width(self) -> Option<u32> {
+        METHODS[self.method].resized.as_ref().map(|resized| resized.usual.width)
     }
 
     /// What `--method` takes, for people: names, and the range of the parameter where there is one.
@@ -165,6 +204,10 @@ impl TryFrom<String> for MethodSpec {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::frame::{Frame, Pixels};
+    use crate::lighting::StepTimes;
+    use glam::Vec3;
+    use mr360_protocol::video::{StereoLayout, Transfer};
 
     #[test]
     fn every_method_answers_to_what_selects_it() {
@@ -177,6 +220,26 @@ mod tests {
         }
         assert_eq!(MethodSpec::default().to_string(), "directional");
         assert_eq!(MethodSpec::all().next(), Some(MethodSpec::default()));
+    }
+
+    #[test]
+    fn methods_find_an_even_sky_at_every_width_that_they_can_be_made_at() {
+        let texels = vec![[0.25, 0.5, 1.0]; 64 * 32];
+        let pixels = Pixels::Rgb { width: 64, height: 32, texels, transfer: Transfer::Linear };
+        let frame = Frame { pts_us: 0, stereo: StereoLayout::Mono, pixels };
+        for spec in MethodSpec::all().filter(|spec| spec.usual_width().is_some()) {
+            for width in [8, 16, 32, 64, 128, 256, 512, 1024] {
+                let mut method = spec.make_at(width).unwrap();
+                let estimate = method.estimate(&frame, &mut StepTimes::default()).unwrap();
+                // The mean radiance; midpoints of four rows are off by 1 %.
+                let mean = estimate.sh[0] / (4.0 * std::f32::consts::PI).sqrt();
+                assert!((mean / Vec3::new(0.25, 0.5, 1.0) - 1.0).abs().max_element() < 0.01, "{spec} at {width}: {mean}");
+            }
+            assert!([0, 4, 12, 2048].iter().all(|width| spec.make_at(*width).is_none()));
+        }
+        let spec = |name: &str| name.parse::<MethodSpec>().unwrap();
+        assert!(spec("k-means").make_at(64).is_none() && spec("k-means").usual_width().is_none());
+        assert_eq!((spec("sh:25").make_at(64).unwrap().name(), spec("sh").usual_width()), ("sh:25", Some(128)));
     }
 
     #[test]

@@ -9,7 +9,7 @@ use super::{Estimate, LightError, LightMethod, StepTimes};
 use crate::frame::Frame;
 
 /// Averaging over texels of 2.8° takes 0.2 % off band 4 and 0.06 % off band 2.
-const SIZE: Grid = Grid { width: 128, height: 64, supersample: 4 };
+pub(super) const SIZE: Grid = Grid { width: 128, height: 64, supersample: 4 };
 
 /// The method; see the module.
 pub(super) struct SphericalHarmonics {
@@ -22,10 +22,15 @@ pub(super) struct SphericalHarmonics {
 impl SphericalHarmonics {
     /// Bands 0 to 2 for 9 coefficients, 0 to 4 for 25.
     pub(super) fn new(coefficients: usize) -> Self {
+        Self::with_size(SIZE, coefficients)
+    }
+
+    /// On a working panorama of another size, twice as wide as high; see [`super::MethodSpec::make_at`].
+    pub(super) fn with_size(size: Grid, coefficients: usize) -> Self {
         Self {
             name: format!("sh:{coefficients}"),
-            panorama: Panorama::new(SIZE, Lift::Linear),
-            series: Series::new(SIZE, coefficients),
+            panorama: Panorama::new(size, Lift::Linear),
+            series: Series::new(size, coefficients),
             estimate: Estimate::default(),
         }
     }

@@ -21,7 +21,7 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Bench {
-    /// Light: accuracy against time of every method on HDR panoramas; stability over time; steps and share of one core for large frames of a clip.
+    /// Light: accuracy against time of every method on HDR panoramas; speed on one live frame; sweep of the working resolution; stability over time; steps and share of one core for large frames of a clip.
     Lighting(Lighting),
     /// The demo's scene in a viewer beside its server: first picture, frame rate, time of every pass, age of light.
     Render(Render),
@@ -41,9 +41,9 @@ struct Lighting {
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// What is measured; everything unless given.
-    #[arg(long, value_enum, value_delimiter = ',', default_value = "accuracy,stability,large-frames")]
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "accuracy,speed,resolution,stability,large-frames")]
     part: Vec<Part>,
-    /// Folder of .exr and .hdr panoramas that accuracy is measured on, instead of those that deploy/fetch-media brought.
+    /// Folder of .exr and .hdr panoramas that all but large frames is measured on, instead of those that deploy/fetch-media brought.
     #[arg(long, value_name = "FOLDER")]
     panoramas: Option<PathBuf>,
     /// How often every method is timed on every frame.
@@ -52,6 +52,12 @@ struct Lighting {
     /// A Python with numpy and opencv-contrib-python-headless: races the paper's method written with OpenCV, too.
     #[arg(long, value_name = "PATH")]
     python: Option<PathBuf>,
+    /// A folder in which `npm install three` was run: races three.js's light probe, too.
+    #[arg(long, value_name = "FOLDER")]
+    three: Option<PathBuf>,
+    /// The Node that three.js is run in.
+    #[arg(long, default_value = "node", value_name = "PATH")]
+    node: PathBuf,
     /// Size of the large frames.
     #[arg(long, default_value = "3840x1920", value_name = "WxH", value_parser = parse_size)]
     size: (u32, u32),
@@ -68,6 +74,10 @@ struct Lighting {
 enum Part {
     /// Accuracy and time of every method on panoramas.
     Accuracy,
+    /// Time of every method on one live frame, against the paper written plainly and in OpenCV.
+    Speed,
+    /// Error and time of methods over the size of their working panorama.
+    Resolution,
     /// Stillness, lag and jumps of every method on sequences of known light, a still scene through a codec, and the real clip.
     Stability,
     /// Steps and share of a core of one method on large frames.
@@ -78,6 +88,8 @@ impl From<Part> for lighting::Part {
     fn from(part: Part) -> Self {
         match part {
             Part::Accuracy => Self::Accuracy,
+            Part::Speed => Self::Speed,
+            Part::Resolution => Self::Resolution,
             Part::Stability => Self::Stability,
             Part::LargeFrames => Self::LargeFrames,
         }
@@ -141,9 +153,9 @@ fn parse_size(text: &str) -> Result<(u32, u32), String> {
 
 fn run(bench: Bench) -> anyhow::Result<()> {
     match bench {
-        Bench::Lighting(Lighting { out, part, panoramas, rounds, python, size, frames, method }) => {
+        Bench::Lighting(Lighting { out, part, panoramas, rounds, python, three, node, size, frames, method }) => {
             let parts = part.into_iter().map(Into::into).collect();
-            lighting::run(&lighting::Options { parts, panoramas, rounds, python, size, frames, method, out })
+            lighting::run(&lighting::Options { parts, panoramas, rounds, python, three, node, size, frames, method, out })
         }
         Bench::Render(Render { out, source, scene, size, frames }) => render::run(&render::Options { source, scene, size, frames, out }),
         Bench::Network(Network { out, viewers, seconds, source, size }) => {

@@ -82,7 +82,7 @@ pub(super) struct Taken {
 }
 
 /// 8-bit sRGB of linear light, rounded.
-fn code(linear: f32) -> u8 {
+pub(super) fn code(linear: f32) -> u8 {
     (srgb_encode(linear.clamp(0.0, 1.0)) * 255.0).round() as u8
 }
 

@@ -141,6 +141,8 @@ mod tests {
             panoramas: None,
             rounds: 1,
             python: None,
+            three: None,
+            node: "node".into(),
             size: (3840, 1920),
             frames: 2,
             method: "directional".to_owned(),

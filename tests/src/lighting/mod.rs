@@ -1,12 +1,14 @@
-//! Light, measured: accuracy against time for every method on true panoramas, stability over time, and the share of a core that large live
-//! frames take.
+//! Light, measured: accuracy against time for every method on true panoramas, speed on one live frame, what the working resolution costs and
+//! brings, stability over time, and the share of a core that large live frames take.
 //!
 //! Accuracy: `radiance_map` finds and splits the panoramas, `exposure` makes frames of them, `truth` says what is true,
-//! `irradiance`, `score` and `rendered` measure, `race` runs every method and the `opencv` peer in turn, `report` writes it down.
-//! `stability` and `large_frames` are the other parts.
+//! `irradiance`, `score` and `rendered` measure, `race` runs every method and the peers in turn, `oracle` says what no method can beat,
+//! `report` writes it down and `fronts` draws it. `speed` races live frames (`video_frame`) against the paper written plainly (`plain`) and
+//! in OpenCV, `resolution` varies the working panorama, `stability` runs sequences, `large_frames` is the last part. `peer` speaks with the programs of others, which
+//! `opencv` and `three` start.
 
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 
@@ -14,16 +16,24 @@ use crate::figures::save;
 use crate::sandbox::media_folder;
 
 mod exposure;
+mod fronts;
 mod irradiance;
 mod large_frames;
 mod opencv;
+mod oracle;
+mod peer;
+mod plain;
 mod race;
 mod radiance_map;
 mod rendered;
 mod report;
+mod resolution;
 mod score;
+mod speed;
 mod stability;
+mod three;
 mod truth;
+mod video_frame;
 
 /// Folder of the panoramas that `deploy/fetch-media` brings, among the media.
 const PANORAMAS: &str = "hdr";
@@ -33,6 +43,10 @@ const PANORAMAS: &str = "hdr";
 pub enum Part {
     /// Accuracy and time of every method on panoramas.
     Accuracy,
+    /// Time of every method on one live frame, against other implementations of the paper.
+    Speed,
+    /// Error and time of methods over the size of their working panorama.
+    Resolution,
     /// Stillness, lag and jumps of every method over time.
     Stability,
     /// Steps and share of a core of one method on large frames of the real clip.
@@ -50,6 +64,10 @@ pub struct Options {
     pub rounds: u32,
     /// Python that has NumPy and OpenCV, to race OpenCV with.
     pub python: Option<PathBuf>,
+    /// Folder with three.js among its `node_modules`, to race its light probe.
+    pub three: Option<PathBuf>,
+    /// Node to run three.js in.
+    pub node: PathBuf,
     /// Columns and rows of large frames, 2:1.
     pub size: (u32, u32),
     /// Large frames measured, besides the first, which fills buffers and tables.
@@ -60,9 +78,9 @@ pub struct Options {
     pub out: PathBuf,
 }
 
-/// Runs the bench and writes `lighting.md`; of accuracy `lighting-accuracy.csv` and a chart an exposure; of stability
-/// `lighting-stability.csv`, `lighting-stability-curves.csv` and a chart a sequence; of large frames `lighting.csv`
-/// and the chart `lighting-time.svg`.
+/// Runs the bench and writes `lighting.md`; of accuracy `lighting-accuracy.csv` and a chart an exposure; of speed `lighting-speed.csv` and
+/// `lighting-speed.svg`; of resolution `lighting-resolution.csv` and a chart an exposure; of stability `lighting-stability.csv`,
+/// `lighting-stability-curves.csv` and a chart a sequence; of large frames `lighting.csv` and the chart `lighting-time.svg`.
 ///
 /// # Errors
 /// When panoramas or the clip are missing or unusable, a program fails, or the results cannot be written.
@@ -73,6 +91,8 @@ pub fn run(options: &Options) -> Result<()> {
     for part in &options.parts {
         sections.push(match part {
             Part::Accuracy => accuracy(options)?,
+            Part::Speed => speed::run(options, &panoramas(options)?, start_opencv(options)?.as_mut())?,
+            Part::Resolution => resolution::run(options, &panoramas(options)?)?,
             Part::Stability => stability::run(options)?,
             Part::LargeFrames => large_frames::run(options)?,
         });
@@ -80,23 +100,53 @@ pub fn run(options: &Options) -> Result<()> {
     save(&options.out, "lighting.md", &format!("# Lighting\n\n{}", sections.join("\n")))
 }
 
+/// The panoramas that are measured on.
+fn panoramas(options: &Options) -> Result<Vec<PathBuf>> {
+    radiance_map::find(&options.panoramas.clone().map_or_else(|| media_folder(PANORAMAS), Ok)?)
+}
+
+/// A panorama's file name without its ending.
+fn name(path: &Path) -> String {
+    path.file_stem().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
+}
+
+/// The OpenCV peer, where there is a Python for it.
+fn start_opencv(options: &Options) -> Result<Option<peer::Peer>> {
+    options.python.as_deref().map(opencv::start).transpose()
+}
+
+/// The three.js peer, where there is a folder for it.
+fn start_three(options: &Options) -> Result<Option<peer::Peer>> {
+    options.three.as_deref().map(|folder| three::start(&options.node, folder)).transpose()
+}
+
 /// Races all methods and returns the section of the summary.
 fn accuracy(options: &Options) -> Result<String> {
-    let folder = options.panoramas.clone().map_or_else(|| media_folder(PANORAMAS), Ok)?;
-    let files = radiance_map::find(&folder)?;
-    let mut peer = options.python.as_deref().map(opencv::Peer::start).transpose()?;
-    let of_peer = match &peer {
+    let files = panoramas(options)?;
+    let (opencv, three) = (start_opencv(options)?, start_three(options)?);
+    let of_opencv = match &opencv {
         Some(peer) => {
             format!("`{}` is the paper's method written with {}, fed 8-bit frames; it reads no HDR.", opencv::NAME, peer.version())
         }
         None => "OpenCV was not raced: `--python` names a Python that has numpy and opencv-contrib-python-headless.".to_owned(),
     };
-    eprintln!("lighting: {of_peer}");
-    let rows = race::run(&files, &race::methods()?, peer.as_mut(), options.rounds)?;
+    let of_three = match &three {
+        Some(peer) => format!(
+            "`{}` is the light probe of {}, made of a cube map a quarter as wide as the panorama, of 8 bits or of floats; filling the cube map is not \
+             timed.",
+            three::NAME,
+            peer.version()
+        ),
+        None => "three.js was not raced: `--three` names a folder in which `npm install three` was run.".to_owned(),
+    };
+    let of_peers = format!("{of_opencv} {of_three}");
+    eprintln!("lighting: {of_peers}");
+    let mut peers: Vec<peer::Peer> = opencv.into_iter().chain(three).collect();
+    let rows = race::run(&files, &race::methods()?, &mut peers, options.rounds)?;
     eprint!("{}", report::overview(&rows));
     save(&options.out, "lighting-accuracy.csv", &report::csv(&rows))?;
     for exposure in exposure::Exposure::ALL {
-        save(&options.out, &report::chart_name(exposure), &report::chart(&rows, exposure)?)?;
+        save(&options.out, &fronts::chart_name(exposure), &fronts::chart(&rows, exposure)?)?;
     }
-    Ok(report::markdown(&rows, &of_peer, options.rounds))
+    Ok(report::markdown(&rows, &of_peers, options.rounds))
 }

@@ -1,6 +1,6 @@
 //! Every method on every panorama through every exposure: light, score and time.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::{Context, Result};
@@ -8,10 +8,12 @@ use mr360_server::lighting::{LightMethod, MethodSpec, StepTimes};
 
 use super::exposure::{Exposure, Taken};
 use super::irradiance::Normals;
-use super::opencv::{self, Peer};
+use super::name;
+use super::oracle::{self, Oracle};
+use super::peer::Peer;
 use super::radiance_map::{Half, RadianceMap};
 use super::rendered::{self, Stage};
-use super::score::{Light, Score};
+use super::score::{self, Light, Score};
 use super::truth::Truth;
 use crate::samples::percentile;
 
@@ -37,14 +39,16 @@ pub(super) struct Row {
     pub(super) score: Score,
     /// Errors of rendered pictures.
     pub(super) rendered: rendered::Errors,
-    /// Number of lights.
-    pub(super) lights: usize,
+    /// Number of lights; none of an oracle.
+    pub(super) lights: Option<usize>,
     /// Bytes of the message; none where it cannot be sent.
     pub(super) wire_bytes: Option<usize>,
-    /// Median over the rounds.
-    pub(super) time_ms: f64,
+    /// [`score::quantisation`] of that message.
+    pub(super) quantisation: Option<f64>,
+    /// Median over the rounds; none of an oracle.
+    pub(super) time_ms: Option<f64>,
     /// That over [`REFERENCE`]'s on the same frame.
-    pub(super) time_ratio: f64,
+    pub(super) time_ratio: Option<f64>,
 }
 
 /// The methods with their default parameters and SH's larger set, then the sweeps of those that take a number of lights.
@@ -63,41 +67,83 @@ pub(super) fn methods() -> Result<Vec<MethodSpec>> {
     Ok(specs)
 }
 
-/// Races `specs`, and the peer where there is one, over `files`, each frame `rounds` times after a warm-up.
+/// Races `specs` and the peers over `files`, each frame `rounds` times after a warm-up.
 ///
 /// # Errors
-/// When a panorama cannot be used or a method or the peer fails.
-pub(super) fn run(files: &[PathBuf], specs: &[MethodSpec], mut peer: Option<&mut Peer>, rounds: u32) -> Result<Vec<Row>> {
+/// When a panorama cannot be used or a method or a peer fails.
+pub(super) fn run(files: &[PathBuf], specs: &[MethodSpec], peers: &mut [Peer], rounds: u32) -> Result<Vec<Row>> {
     let (normals, stage) = (Normals::new(), Stage::new());
     let mut rows = Vec::new();
     for (place, path) in files.iter().enumerate() {
         let panorama = name(path);
         eprintln!("lighting: {panorama} ({} of {})", place + 1, files.len());
         let map = RadianceMap::load(path)?;
-        let (truth, pictures) = (Truth::of(&map, &normals), stage.under_truth(&map));
-        for exposure in Exposure::ALL {
-            let taken = exposure.take(&map).with_context(|| path.display().to_string())?;
-            let raced = race(&taken, map.width, specs, peer.as_deref_mut(), rounds).with_context(|| path.display().to_string())?;
+        let truth = Truth::of(&map, &normals);
+        let takes = takes(&map).with_context(|| path.display().to_string())?;
+        let maps: Vec<&RadianceMap> = std::iter::once(&map).chain(takes.iter().flat_map(Take::maps)).collect();
+        let mut pictures = stage.under_all(&maps).into_iter();
+        let truly = pictures.next().unwrap_or_default();
+        for Take { exposure, taken, answers } in &takes {
+            let exposure = *exposure;
+            let raced = race(taken, &map, specs, peers, rounds).with_context(|| path.display().to_string())?;
             let reference = raced.iter().find(|entrant| entrant.method == REFERENCE).map_or(f64::NAN, Entrant::time_ms);
-            rows.extend(raced.iter().map(|entrant| Row {
-                method: entrant.method.clone(),
+            let blank = |method: &str, score, rendered| Row {
+                method: method.to_owned(),
                 panorama: panorama.clone(),
                 half: Half::of_place(place),
                 exposure,
-                score: Score::of(&entrant.light, &truth, taken.scale, &normals),
-                rendered: rendered::errors(&stage.under(&entrant.light), &pictures, taken.scale),
-                lights: entrant.light.lights.len(),
-                wire_bytes: entrant.light.wire_bytes().ok(),
-                time_ms: entrant.time_ms(),
-                time_ratio: entrant.time_ms() / reference,
+                score,
+                rendered,
+                lights: None,
+                wire_bytes: None,
+                quantisation: None,
+                time_ms: None,
+                time_ratio: None,
+            };
+            rows.extend(raced.iter().map(|entrant| {
+                let score = Score::of(&entrant.light, &truth, taken.scale, &normals);
+                let wire = entrant.light.over_the_wire().ok();
+                Row {
+                    lights: Some(entrant.light.lights.len()),
+                    wire_bytes: wire.as_ref().map(|(bytes, _)| *bytes),
+                    quantisation: wire.map(|(_, received)| score::quantisation(&entrant.light, &received, &normals)),
+                    time_ms: Some(entrant.time_ms()),
+                    time_ratio: Some(entrant.time_ms() / reference),
+                    ..blank(&entrant.method, score, rendered::errors(&stage.under(&entrant.light), &truly, taken.scale))
+                }
+            }));
+            rows.extend(answers.iter().zip(&mut pictures).map(|((oracle, answer), pictures)| {
+                let score = Score::of_oracle(answer, &truth, taken.scale, &normals);
+                blank(oracle.name(), score, rendered::errors(&pictures, &truly, taken.scale))
             }));
         }
     }
     Ok(rows)
 }
 
-fn name(path: &Path) -> String {
-    path.file_stem().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
+/// A panorama through one exposure, and what the oracles say of it.
+struct Take {
+    exposure: Exposure,
+    taken: Taken,
+    answers: Vec<(Oracle, oracle::Answer)>,
+}
+
+impl Take {
+    /// The oracles' panoramas.
+    fn maps(&self) -> impl Iterator<Item = &RadianceMap> {
+        self.answers.iter().map(|(_, answer)| &answer.map)
+    }
+}
+
+/// The panorama through every exposure.
+fn takes(map: &RadianceMap) -> Result<Vec<Take>> {
+    let take = |exposure: Exposure| {
+        let taken = exposure.take(map)?;
+        let answer = |codes: &Vec<[u8; 3]>| Vec::from(Oracle::ALL.map(|oracle| (oracle, oracle.answer(map, taken.scale, codes))));
+        let answers = taken.codes.as_ref().map(answer).unwrap_or_default();
+        Ok(Take { exposure, taken, answers })
+    };
+    Exposure::ALL.into_iter().map(take).collect()
 }
 
 /// A method, what it found and how long each round took.
@@ -116,14 +162,15 @@ impl Entrant {
 
 /// Round by round every method once, so that whatever else the machine does meets all of them alike. The first round warms
 /// up and is not counted. The light is that of the last round: what a still scene settles to.
-fn race(taken: &Taken, width: usize, specs: &[MethodSpec], peer: Option<&mut Peer>, rounds: u32) -> Result<Vec<Entrant>> {
+fn race(taken: &Taken, map: &RadianceMap, specs: &[MethodSpec], peers: &mut [Peer], rounds: u32) -> Result<Vec<Entrant>> {
     let mut methods: Vec<Box<dyn LightMethod>> = specs.iter().map(|spec| spec.make()).collect();
     let mut entrants: Vec<Entrant> = specs.iter().map(|spec| Entrant { method: spec.to_string(), ..Entrant::default() }).collect();
-    let mut ran = Entrant { method: opencv::NAME.to_owned(), ..Entrant::default() };
-    // The peer reads 8 bits only.
-    let mut guest = taken.codes.as_ref().and_then(|codes| Some((peer?, codes)));
-    if let Some((peer, codes)) = &mut guest {
-        peer.take(codes, width)?;
+    let mut guests = Vec::new();
+    for peer in peers {
+        // Some read 8 bits only.
+        if peer.take(taken, map.texels(), map.width)? {
+            guests.push((Entrant { method: peer.name().to_owned(), ..Entrant::default() }, peer));
+        }
     }
     for round in 0..=rounds {
         for (method, entrant) in methods.iter_mut().zip(&mut entrants) {
@@ -137,16 +184,16 @@ fn race(taken: &Taken, width: usize, specs: &[MethodSpec], peer: Option<&mut Pee
                 entrant.light = estimate.into();
             }
         }
-        if let Some((peer, _)) = &mut guest {
+        for (entrant, peer) in &mut guests {
             let elapsed_ms = peer.run()?;
             if round > 0 {
-                ran.times_ms.push(elapsed_ms);
+                entrant.times_ms.push(elapsed_ms);
             }
         }
     }
-    if let Some((peer, _)) = &mut guest {
-        ran.light = peer.light()?;
-        entrants.push(ran);
+    for (mut entrant, peer) in guests {
+        entrant.light = peer.light()?;
+        entrants.push(entrant);
     }
     Ok(entrants)
 }
@@ -180,9 +227,16 @@ mod tests {
         let texels = map.texels().iter().flat_map(Vec3::to_array).collect();
         image::Rgb32FImage::from_raw(256, 128, texels).unwrap().save(&path).unwrap();
         let specs = ["directional", "mr360", "sh:9"].map(|name| name.parse().unwrap());
-        let rows = run(&[path], &specs, None, 2).unwrap();
-        assert_eq!(rows.len(), 12);
-        for row in &rows {
+        let rows = run(&[path], &specs, &mut [], 2).unwrap();
+        let oracle = |row: &&Row| row.method.starts_with("oracle:");
+        // Of HDR there is nothing to guess.
+        assert_eq!((rows.len(), rows.iter().filter(oracle).count()), (18, 6));
+        for row in rows.iter().filter(oracle) {
+            // White is the sky's own here, so that the sun cannot be told from it: nobody does well, and the oracles do best.
+            let others = rows.iter().filter(|other| other.exposure == row.exposure && !oracle(other));
+            assert!(row.time_ms.is_none() && others.map(|other| other.score.absolute).all(|error| error > row.score.absolute), "{row:?}");
+        }
+        for row in rows.iter().filter(|row| !oracle(row)) {
             let (hdr, lights) = (row.exposure == Exposure::Hdr, row.method != "sh:9");
             assert_eq!((row.panorama.as_str(), row.half), ("sun", Half::Tune), "{row:?}");
             match row.score.dominant {
@@ -194,7 +248,8 @@ mod tests {
             // True HDR is met within a few per cent; harmonics of the clipped sky lack the sun, a third of all irradiance.
             assert!(!hdr || row.score.absolute < 0.05, "{row:?}");
             assert!(hdr || lights || row.score.absolute > 0.1, "{row:?}");
-            assert!(row.time_ms > 0.0 && row.wire_bytes.is_some() && (row.method != REFERENCE || row.time_ratio == 1.0));
+            assert!(row.time_ms > Some(0.0) && row.wire_bytes.is_some() && (row.method != REFERENCE || row.time_ratio == Some(1.0)));
+            assert!(row.quantisation < Some(0.01), "{row:?}");
         }
     }
 }

@@ -95,11 +95,15 @@ impl RadianceMap {
     }
 
     /// A panorama of `height` rows whose pixels hold `radiance` of the direction of their centres.
-    #[cfg(test)]
     pub(super) fn of(height: usize, radiance: impl Fn(Vec3) -> Vec3) -> Self {
         let mut map = Self { width: 2 * height, height, texels: Vec::new() };
         map.texels = (0..2 * height * height).map(|at| radiance(map.direction(at % (2 * height), at / (2 * height)))).collect();
         map
+    }
+
+    /// Another panorama of the same size.
+    pub(super) fn with_texels(&self, texels: Vec<Vec3>) -> Self {
+        Self { texels, ..*self }
     }
 
     /// Radiance, row by row.

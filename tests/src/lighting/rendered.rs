@@ -157,13 +157,31 @@ impl Stage {
     }
 
     /// Under all light of a panorama.
-    pub(super) fn under_truth(&self, map: &RadianceMap) -> Pictures {
-        let grid = RadianceGrid::of(map);
-        let lit: Vec<(Vec3, Vec3)> = grid.directions.into_iter().zip(grid.energy).filter(|(_, energy)| *energy != Vec3::ZERO).collect();
-        self.pictures.each_ref().map(|surfaces| {
-            let pixel = |surface: &Surface| lit.iter().map(|(direction, energy)| *energy * surface.response(*direction)).sum::<Vec3>();
-            surfaces.iter().map(|surface| pixel(surface).as_dvec3()).collect()
-        })
+    #[cfg(test)]
+    fn under_truth(&self, map: &RadianceMap) -> Pictures {
+        self.under_all(&[map]).remove(0)
+    }
+
+    /// Under all light of each of several panoramas, in their order: what a surface answers to a direction is worked out once for all.
+    pub(super) fn under_all(&self, maps: &[&RadianceMap]) -> Vec<Pictures> {
+        let directions = RadianceGrid::empty().directions;
+        let grids: Vec<RadianceGrid> = maps.iter().map(|map| RadianceGrid::of(map)).collect();
+        // Direction by direction, the energies of all panoramas.
+        let energies: Vec<Vec3> = (0..directions.len()).flat_map(|cell| grids.iter().map(move |grid| grid.energy[cell])).collect();
+        let mut all: Vec<Pictures> = maps.iter().map(|_| Pictures::default()).collect();
+        for (picture, surfaces) in self.pictures.iter().enumerate() {
+            for surface in surfaces {
+                let mut sums = vec![Vec3::ZERO; maps.len()];
+                for (direction, energies) in directions.iter().zip(energies.chunks_exact(maps.len().max(1))) {
+                    let response = surface.response(*direction);
+                    if response > 0.0 {
+                        sums.iter_mut().zip(energies).for_each(|(sum, energy)| *sum += *energy * response);
+                    }
+                }
+                all.iter_mut().zip(sums).for_each(|(pictures, sum)| pictures[picture].push(sum.as_dvec3()));
+            }
+        }
+        all
     }
 
     /// Under what a method says; harmonics that ring below 0 leave a pixel black.

@@ -1,19 +1,19 @@
-//! What the race came to: tables, CSV and charts.
-
-use anyhow::Result;
+//! What the race came to: tables and CSV.
 
 use super::exposure::Exposure;
-use super::opencv;
+use super::fronts::chart_name;
+use super::oracle::Oracle;
 use super::race::{Row, SWEPT, SWEPT_LIGHTS};
 use super::radiance_map::Half;
 use super::rendered::Object;
 use super::score::Dominant;
-use crate::chart::{Axis, Chart, Mark, Scale, Series, number};
+use super::speed::cores;
+use crate::chart::number;
 use crate::samples::percentile;
 use crate::table::Table;
 
 /// Columns of the CSV before those of the rendered pictures.
-const HEAD: [&str; 14] = [
+const HEAD: [&str; 15] = [
     "method",
     "panorama",
     "half",
@@ -26,6 +26,7 @@ const HEAD: [&str; 14] = [
     "direct_error",
     "lights",
     "wire_bytes",
+    "wire_error",
     "time_ms",
     "time_over_mr360",
 ];
@@ -56,10 +57,11 @@ pub(super) fn csv(rows: &[Row]) -> String {
             dominant.to_owned(),
             off,
             format!("{:.4}", score.direct),
-            row.lights.to_string(),
+            row.lights.map(|lights| lights.to_string()).unwrap_or_default(),
             row.wire_bytes.map(|bytes| bytes.to_string()).unwrap_or_default(),
-            format!("{:.4}", row.time_ms),
-            format!("{:.3}", row.time_ratio),
+            row.quantisation.map(|error| format!("{error:.6}")).unwrap_or_default(),
+            row.time_ms.map(|time| format!("{time:.4}")).unwrap_or_default(),
+            row.time_ratio.map(|ratio| format!("{ratio:.3}")).unwrap_or_default(),
         ];
         let rendered = row.rendered.iter().flat_map(|error| [error.0, error.1]).map(|error| format!("{error:.5}"));
         table.push(cells.into_iter().chain(rendered));
@@ -67,14 +69,19 @@ pub(super) fn csv(rows: &[Row]) -> String {
     table.csv()
 }
 
-/// Names of the methods in the order in which they were raced, sweeps apart.
-struct Names {
-    methods: Vec<String>,
-    sweeps: Vec<String>,
+/// Names of the methods in the order in which they were raced, sweeps and oracles apart.
+pub(super) struct Names {
+    /// Methods and peers.
+    pub(super) methods: Vec<String>,
+    /// Methods by their number of lights.
+    pub(super) sweeps: Vec<String>,
+    /// What no method can beat, in its place among those that the rows hold.
+    pub(super) oracles: Vec<String>,
 }
 
 impl Names {
-    fn of(rows: &[Row]) -> Self {
+    /// Of these rows.
+    pub(super) fn of(rows: &[Row]) -> Self {
         let swept = || SWEPT.iter().flat_map(|name| SWEPT_LIGHTS.iter().map(move |lights| format!("{name}:{lights}")));
         let mut names: Vec<String> = Vec::new();
         for row in rows {
@@ -84,19 +91,22 @@ impl Names {
         }
         let default = |name: &String| mr360_server::lighting::MethodSpec::all().any(|spec| spec.to_string() == *name);
         let sweeps = swept().filter(|name| names.contains(name)).collect();
-        Self { methods: names.into_iter().filter(|name| default(name) || !swept().any(|swept| swept == *name)).collect(), sweeps }
+        let (oracles, names): (Vec<_>, Vec<_>) = names.into_iter().partition(|name| Oracle::ALL.iter().any(|oracle| oracle.name() == name));
+        let methods = names.into_iter().filter(|name| default(name) || !swept().any(|swept| swept == *name)).collect();
+        Self { methods, sweeps, oracles }
     }
 }
 
 /// Median and largest of some values, written by `format`; empty without values.
-fn spread(values: &[f64], format: impl Fn(f64) -> String) -> String {
+pub(super) fn spread(values: &[f64], format: impl Fn(f64) -> String) -> String {
     match (percentile(values, 0.5), percentile(values, 1.0)) {
         (Some(median), Some(worst)) => format!("{} ({})", format(median), format(worst)),
         _ => String::new(),
     }
 }
 
-fn per_cent(value: f64) -> String {
+/// A share in per cent, with a digit after the point below 10 %.
+pub(super) fn per_cent(value: f64) -> String {
     let value = value * 100.0;
     if value < 10.0 { format!("{value:.1}") } else { format!("{value:.0}") }
 }
@@ -142,8 +152,8 @@ fn dominant(rows: &[&Row]) -> String {
     }
 }
 
-fn median_and_worst(f: fn(&Row) -> f64, digits: usize) -> impl Fn(&[&Row]) -> String {
-    move |rows| spread(&rows.iter().map(|row| f(row)).collect::<Vec<_>>(), |value| format!("{value:.digits$}"))
+fn median_and_worst(f: fn(&Row) -> Option<f64>, digits: usize) -> impl Fn(&[&Row]) -> String {
+    move |rows| spread(&rows.iter().filter_map(|row| f(row)).collect::<Vec<_>>(), |value| format!("{value:.digits$}"))
 }
 
 fn bytes(rows: &[&Row]) -> String {
@@ -153,13 +163,17 @@ fn bytes(rows: &[&Row]) -> String {
     if unsent == 0 { spread } else { format!("{spread}, {unsent} beyond the wire's range") }
 }
 
-/// All tables as Markdown. `peer` says what became of the OpenCV peer, `rounds` how often every frame was timed.
-pub(super) fn markdown(rows: &[Row], peer: &str, rounds: u32) -> String {
+/// All tables as Markdown. `peers` says what became of the peers, `rounds` how often every frame was timed.
+pub(super) fn markdown(rows: &[Row], peers: &str, rounds: u32) -> String {
     let names = Names::of(rows);
     let mut text = format!(
         "## Accuracy\n\nEvery cell is median (worst) over the panoramas of its half: even places of the alphabetical order to tune on, odd places \
          held out. Each panorama is given as it is (HDR), and as 8-bit sRGB whose white is a percentile of its luminance; what is true is the HDR \
-         panorama at the same scale. {peer}\n",
+         panorama at the same scale. {peers}\n\nOracles are bounds and no methods: they are told the true energy of what is clipped, channel by \
+         channel, and spread it evenly over all clipped pixels (`{}`) or over those of each connected region (`{}`); their irradiance is summed over \
+         every pixel.\n",
+        Oracle::Total.name(),
+        Oracle::Regions.name(),
     );
     for half in Half::ALL {
         let own: Vec<Row> = rows.iter().filter(|row| row.half == half).cloned().collect();
@@ -168,7 +182,7 @@ pub(super) fn markdown(rows: &[Row], peer: &str, rounds: u32) -> String {
         }
     }
     text += &cost(rows, &names, rounds);
-    text += "\nThe working resolution belongs to each method and cannot be set, so it is not swept.\n\n";
+    text += "\n";
     for exposure in Exposure::ALL {
         text += &format!("![{}]({})\n", exposure.title(), chart_name(exposure));
     }
@@ -183,13 +197,14 @@ fn section(title: &str, table: &Table) -> String {
 fn accuracy(rows: &[Row], names: &Names, half: Half) -> String {
     let mut panoramas: Vec<&str> = rows.iter().map(|row| row.panorama.as_str()).collect();
     panoramas.dedup();
-    let methods = |title: &str, cell: &dyn Fn(&[&Row]) -> String| section(title, &by_exposure(rows, &names.methods, cell));
+    let shown: Vec<String> = names.methods.iter().chain(&names.oracles).cloned().collect();
+    let methods = |title: &str, cell: &dyn Fn(&[&Row]) -> String| section(title, &by_exposure(rows, &shown, cell));
     let mut text = format!("\n### {}: {}\n", if half == Half::Tune { "Tune" } else { "Held out" }, panoramas.join(", "));
     text += &methods("Irradiance error in %, absolute / after the best single scale:", &errors);
     text += &methods("Direction of the dominant light:", &dominant);
-    let direct = median_and_worst(|row| row.score.direct.abs(), 2);
+    let direct = median_and_worst(|row| Some(row.score.direct.abs()), 2);
     text += &methods("Error of the lights' share of the irradiance on level ground:", &direct);
-    let colour = median_and_worst(|row| row.score.colour_deg, 1);
+    let colour = median_and_worst(|row| Some(row.score.colour_deg), 1);
     text += &methods("Angle between the colours of the irradiance, degrees:", &colour);
     for (picture, object) in Object::ALL.iter().enumerate() {
         let title = format!(
@@ -206,71 +221,21 @@ fn accuracy(rows: &[Row], names: &Names, half: Half) -> String {
 fn cost(rows: &[Row], names: &Names, rounds: u32) -> String {
     let further = names.sweeps.iter().filter(|name| !names.methods.contains(name));
     let all: Vec<String> = names.methods.iter().chain(further).cloned().collect();
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let clock = format!(
-        "Time in ms: one thread, median of {rounds} rounds after a warm-up, all methods in turn, on a machine with {cores} cores. OpenCV reads 8-bit \
-         codes, the methods the same codes as floats:"
+        "Time in ms: one thread, median of {rounds} rounds after a warm-up, all methods in turn, {}. OpenCV reads 8-bit \
+         codes, the methods the same codes as floats:",
+        cores()
     );
     let mut text = "\n### Cost, over both halves\n".to_owned();
     text += &section(&clock, &by_exposure(rows, &all, median_and_worst(|row| row.time_ms, 2)));
     text += &section("Time over that of `mr360` on the same frame:", &by_exposure(rows, &all, median_and_worst(|row| row.time_ratio, 2)));
-    text += &section("Number of lights:", &by_exposure(rows, &names.methods, median_and_worst(|row| row.lights as f64, 0)));
-    text + &section("Bytes of a frame's light on the wire:", &by_exposure(rows, &all, bytes))
-}
-
-/// File of an exposure's chart.
-pub(super) fn chart_name(exposure: Exposure) -> String {
-    format!("lighting-accuracy-{}.svg", exposure.name())
-}
-
-/// Median time against median error of an exposure, both logarithmic, over the held-out half, or over everything where
-/// nothing was held out. Sweeps are lines; the front is that of the server's own methods.
-///
-/// # Errors
-/// When an error or a time is not positive.
-pub(super) fn chart(rows: &[Row], exposure: Exposure) -> Result<String> {
-    let held_out = rows.iter().any(|row| row.half == Half::HeldOut);
-    let shown = |row: &&Row| row.exposure == exposure && (!held_out || row.half == Half::HeldOut);
-    let names = Names::of(rows);
-    let point = |name: &String| {
-        let own: Vec<&Row> = rows.iter().filter(shown).filter(|row| row.method == *name).collect();
-        let median = |f: fn(&Row) -> f64| percentile(&own.iter().map(|row| f(row)).collect::<Vec<_>>(), 0.5);
-        Some((median(|row| row.time_ms)?, median(|row| row.score.absolute)? * 100.0))
-    };
-    let swept = |name: &String| SWEPT.iter().any(|swept| name.starts_with(swept));
-    let mut series: Vec<Series> = Vec::new();
-    for name in names.methods.iter().filter(|name| !swept(name)) {
-        series.extend(point(name).map(|point| Series { name: name.clone(), points: vec![point], mark: Mark::Scatter }));
-    }
-    for name in SWEPT {
-        let points: Vec<_> = names.sweeps.iter().filter(|sweep| sweep.starts_with(name)).filter_map(point).collect();
-        if !points.is_empty() {
-            series.push(Series { name: format!("{name}, 1 to 64"), points, mark: Mark::Line });
-        }
-    }
-    let points: Vec<_> = series.iter().filter(|series| series.name != opencv::NAME).flat_map(|series| series.points.clone()).collect();
-    series.push(Series { name: "Pareto front".to_owned(), points: pareto_front(&points), mark: Mark::Front });
-    let over = if held_out { "held-out panoramas" } else { "panoramas" };
-    let chart = Chart {
-        title: format!("{}: median over the {over}", exposure.title()),
-        x: Axis { label: "time / ms".to_owned(), scale: Scale::Log },
-        y: Axis { label: "irradiance error / %".to_owned(), scale: Scale::Log },
-        series,
-    };
-    chart.svg()
-}
-
-/// The points that no other one beats in one of time and error without losing in the other, fastest first.
-fn pareto_front(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
-    let mut sorted = points.to_vec();
-    sorted.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
-    let mut best = f64::INFINITY;
-    sorted.retain(|(_, error)| {
-        let better = *error < best;
-        best = best.min(*error);
-        better
-    });
-    sorted
+    text += &section(
+        "Number of lights:",
+        &by_exposure(rows, &names.methods, median_and_worst(|row| row.lights.map(|lights| lights as f64), 0)),
+    );
+    text += &section("Bytes of a frame's light on the wire:", &by_exposure(rows, &all, bytes));
+    let wire = "Error of the wire's quantisation: irradiance of the light received against that of the light sent, absolute, in %:";
+    text + &section(wire, &by_exposure(rows, &all, median_and_worst(|row| row.quantisation.map(|error| error * 100.0), 3)))
 }
 
 /// One line a method for the terminal: median errors over everything that was measured, exposure by exposure.
@@ -288,11 +253,11 @@ pub(super) fn overview(rows: &[Row]) -> String {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::lighting::score::Score;
 
-    fn row(method: &str, panorama: &str, half: Half, error: f64, time_ms: f64) -> Row {
+    pub(in super::super) fn row(method: &str, panorama: &str, half: Half, error: f64, time_ms: f64) -> Row {
         let score = Score {
             absolute: error,
             scale_invariant: error / 2.0,
@@ -307,14 +272,15 @@ mod tests {
             exposure: Exposure::Ldr(95),
             score,
             rendered: [(error, error / 2.0); 3],
-            lights: 2,
+            lights: Some(2),
             wire_bytes: Some(100),
-            time_ms,
-            time_ratio: time_ms / 4.0,
+            quantisation: Some(0.00025),
+            time_ms: Some(time_ms),
+            time_ratio: Some(time_ms / 4.0),
         }
     }
 
-    fn rows() -> Vec<Row> {
+    pub(in super::super) fn rows() -> Vec<Row> {
         vec![
             row("directional", "a", Half::Tune, 0.25, 2.0),
             row("directional", "b", Half::HeldOut, 0.5, 2.0),
@@ -323,13 +289,6 @@ mod tests {
             row("median-cut:16", "b", Half::HeldOut, 0.03125, 1.0),
             row("median-cut:4", "b", Half::HeldOut, 0.75, 1.5),
         ]
-    }
-
-    #[test]
-    fn the_front_holds_what_nothing_beats() {
-        let points = [(3.0, 1.0), (1.0, 5.0), (2.0, 5.0), (2.0, 4.0), (4.0, 1.0), (1.0, 6.0)];
-        assert_eq!(pareto_front(&points), [(1.0, 5.0), (2.0, 4.0), (3.0, 1.0)]);
-        assert_eq!(pareto_front(&[]), []);
     }
 
     #[test]
@@ -342,7 +301,17 @@ mod tests {
         // 16 is the default and among the methods too, 4 only in the sweep: of the half's eight tables, one.
         let count = |name: &str| held_out.split("### Cost").next().unwrap().matches(name).count();
         assert_eq!((count("| median-cut:16 "), count("| median-cut:4 ")), (8, 1));
-        assert!(text.contains("No peer.") && text.contains("lighting-accuracy-ldr95.svg"));
+        assert!(text.contains("No peer.") && text.contains("lighting-accuracy-ldr95.svg") && text.contains("| 0.025 (0.025) |"));
+    }
+
+    #[test]
+    fn oracles_have_errors_and_no_cost() {
+        let mut rows = rows();
+        let oracle = row(Oracle::Total.name(), "b", Half::HeldOut, 0.0625, 1.0);
+        rows.push(Row { lights: None, wire_bytes: None, quantisation: None, time_ms: None, time_ratio: None, ..oracle });
+        let (errors, cost) = markdown(&rows, "", 3).split_once("### Cost").map(|(a, b)| (a.to_owned(), b.to_owned())).unwrap();
+        assert!(errors.contains("| oracle:total | – | – | 6.2 (6.2) / 3.1 (3.1) | – |") && !cost.contains("oracle:"));
+        assert!(csv(&rows).contains("oracle:total,b,held out,ldr95,0.06250,0.03125,3.000,found,6.250,-0.2500,,,,,,0.06250"));
     }
 
     #[test]
@@ -359,19 +328,9 @@ mod tests {
         assert_eq!(
             csv.lines().nth(1),
             Some(
-                "directional,a,tune,ldr95,0.25000,0.12500,3.000,found,25.000,-0.2500,2,100,2.0000,0.500,0.25000,0.12500,0.25000,0.12500,0.25000,0.12500"
+                "directional,a,tune,ldr95,0.25000,0.12500,3.000,found,25.000,-0.2500,2,100,0.000250,2.0000,0.500,0.25000,0.12500,0.25000,0.12500,0.25000,0.12500"
             )
         );
         assert!(csv.lines().nth(3).unwrap().contains(",no light,,") && csv.lines().nth(4).unwrap().contains(",absent,,"));
-    }
-
-    #[test]
-    fn the_chart_shows_the_held_out_half_and_the_front() {
-        let svg = chart(&rows(), Exposure::Ldr(95)).unwrap();
-        assert!(svg.contains("directional: 2, 12.5") && svg.contains("median-cut, 1 to 64: 1.5, 75") && svg.contains("Pareto front"));
-        let tuned = chart(&rows()[..1], Exposure::Ldr(95)).unwrap();
-        assert!(tuned.contains("directional: 2, 25"));
-        assert!(chart(&rows(), Exposure::Hdr).unwrap_err().to_string().contains("no points"));
-        assert!(overview(&rows()).contains("directional: median error - / - / 12.5 / - %"));
     }
 }

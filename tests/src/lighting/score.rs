@@ -1,13 +1,14 @@
 //! How good an estimate is, in every measure.
 
 use anyhow::Result;
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use mr360_protocol::light::{DirectionalLight, Lift, LightFrame};
 use mr360_server::lighting::Estimate;
 
 use super::irradiance::Normals;
+use super::oracle;
 use super::radiance_map::LUMA;
-use super::truth::Truth;
+use super::truth::{self, Truth};
 
 /// Times on the wire as late in a broadcast as an hour: they take more bytes than those of its beginning.
 const WIRE_TIME_US: u64 = 3_600_000_000;
@@ -30,13 +31,15 @@ impl From<&Estimate> for Light {
 }
 
 impl Light {
-    /// Bytes of its message on the light track.
+    /// Its message on the light track: how many bytes it has, and what comes out of them.
     ///
     /// # Errors
     /// When a value is out of the wire's range.
-    pub(super) fn wire_bytes(&self) -> Result<usize> {
+    pub(super) fn over_the_wire(&self) -> Result<(usize, Self)> {
         let Self { lift, sh, lights } = self.clone();
-        Ok(LightFrame { pts_us: WIRE_TIME_US, published_us: WIRE_TIME_US, lift, sh, lights }.to_wire()?.len())
+        let wire = LightFrame { pts_us: WIRE_TIME_US, published_us: WIRE_TIME_US, lift, sh, lights }.to_wire()?;
+        let LightFrame { lift, sh, lights, .. } = LightFrame::from_wire(&wire)?;
+        Ok((wire.len(), Self { lift, sh, lights }))
     }
 
     /// The light that gives a surface facing it the highest luminous irradiance.
@@ -82,21 +85,37 @@ pub(super) struct Score {
 impl Score {
     /// Of `light` where `truth` is true of a panorama `scale` times as bright.
     pub(super) fn of(light: &Light, truth: &Truth, scale: f32, normals: &Normals) -> Self {
-        let (estimate, expected) = (normals.lit_by(&light.sh, &light.lights), truth.scaled_irradiance(scale));
-        let off = |direction: Vec3| match light.strongest() {
+        let irradiance = normals.lit_by(&light.sh, &light.lights);
+        let strongest = light.strongest().map(|light| light.direction);
+        Self::of_parts(&irradiance, strongest, light.direct_share(), truth, scale, normals)
+    }
+
+    /// Of an oracle's answer.
+    pub(super) fn of_oracle(answer: &oracle::Answer, truth: &Truth, scale: f32, normals: &Normals) -> Self {
+        let irradiance = truth::irradiances(&answer.map, normals);
+        Self::of_parts(&irradiance, answer.strongest, truth::direct_share(&answer.map), truth, scale, normals)
+    }
+
+    fn of_parts(estimate: &[DVec3], strongest: Option<Vec3>, direct_share: f64, truth: &Truth, scale: f32, normals: &Normals) -> Self {
+        let expected = truth.scaled_irradiance(scale);
+        let off = |direction: Vec3| match strongest {
             None => Dominant::NoLight,
-            Some(light) => {
-                Dominant::OffDeg(f64::from(light.direction.cross(direction).length().atan2(light.direction.dot(direction)).to_degrees()))
-            }
+            Some(found) => Dominant::OffDeg(f64::from(found.cross(direction).length().atan2(found.dot(direction)).to_degrees())),
         };
         Self {
-            absolute: normals.absolute_error(&estimate, &expected),
-            scale_invariant: normals.scale_invariant_error(&estimate, &expected),
-            colour_deg: normals.colour_error_deg(&estimate, &expected),
+            absolute: normals.absolute_error(estimate, &expected),
+            scale_invariant: normals.scale_invariant_error(estimate, &expected),
+            colour_deg: normals.colour_error_deg(estimate, &expected),
             dominant: truth.dominant.map_or(Dominant::Absent, off),
-            direct: light.direct_share() - truth.direct_share,
+            direct: direct_share - truth.direct_share,
         }
     }
+}
+
+/// What the wire did to the irradiance: the absolute error of what came out of it against what went in.
+pub(super) fn quantisation(light: &Light, received: &Light, normals: &Normals) -> f64 {
+    let lit = |light: &Light| normals.lit_by(&light.sh, &light.lights);
+    normals.absolute_error(&lit(received), &lit(light))
 }
 
 #[cfg(test)]
@@ -106,6 +125,7 @@ mod tests {
     use glam::Quat;
 
     use super::*;
+    use crate::lighting::radiance_map::RadianceMap;
 
     fn light(direction: Vec3, irradiance: f32) -> DirectionalLight {
         DirectionalLight { id: 0, direction, irradiance: Vec3::splat(irradiance), solid_angle_sr: 0.01 }
@@ -154,10 +174,27 @@ mod tests {
     }
 
     #[test]
-    fn bytes_are_those_of_the_wire() {
-        let of = |lights: usize| Light { sh: even(1.0), lights: vec![light(Vec3::Y, 1.0); lights], ..Light::default() }.wire_bytes();
-        // An identifier below 251, two directions, three irradiances and a solid angle.
-        assert_eq!(of(3).unwrap() - of(2).unwrap(), 13);
-        assert!(of(65).is_err());
+    fn an_oracle_that_knows_everything_makes_no_error() {
+        let normals = Normals::new();
+        let map = RadianceMap::of(64, |d| Vec3::splat(if d.dot(Vec3::new(0.6, 0.8, 0.0)) > 0.995 { 200.0 } else { 1.0 }));
+        let truth = Truth::of(&map, &normals);
+        let twice = map.with_texels(map.texels().iter().map(|texel| *texel * 2.0).collect());
+        let score = Score::of_oracle(&oracle::Answer { map: twice, strongest: truth.dominant }, &truth, 2.0, &normals);
+        assert!(score.absolute < 1e-6 && score.scale_invariant < 1e-6 && score.direct.abs() < 1e-6, "{score:?}");
+        assert!(matches!(score.dominant, Dominant::OffDeg(off) if off < 1e-4), "{score:?}");
+    }
+
+    #[test]
+    fn bytes_and_error_are_those_of_the_wire() {
+        let of = |lights: usize| Light { sh: even(1.0), lights: vec![light(Vec3::Y, 1.0); lights], ..Light::default() };
+        let bytes = |lights: usize| of(lights).over_the_wire().map(|(bytes, _)| bytes);
+        assert!(bytes(3).unwrap() > bytes(2).unwrap() && bytes(65).is_err());
+        let normals = Normals::new();
+        let (_, received) = of(2).over_the_wire().unwrap();
+        // Far below anything that a method gets wrong.
+        assert!(quantisation(&of(2), &received, &normals) < 5e-3);
+        assert!(quantisation(&of(2), &of(2), &normals) == 0.0);
+        // An irradiance of π everywhere; a light of 1 adds its cosine, a quarter of it on average.
+        assert!((quantisation(&of(0), &of(1), &normals) - 0.25 / std::f64::consts::PI).abs() < 1e-3);
     }
 }

@@ -27,14 +27,18 @@ impl Truth {
     /// Of a panorama.
     pub(super) fn of(map: &RadianceMap, normals: &Normals) -> Self {
         let energy = Energy::of(map);
-        let irradiance = normals.directions().iter().map(|normal| irradiance(map, *normal)).collect();
-        Self { irradiance, dominant: energy.dominant(map), direct_share: direct_share(map) }
+        Self { irradiance: irradiances(map, normals), dominant: energy.dominant(map), direct_share: direct_share(map) }
     }
 
     /// Irradiance in units in which the panorama's radiance is `scale` times as large.
     pub(super) fn scaled_irradiance(&self, scale: f32) -> Vec<DVec3> {
         self.irradiance.iter().map(|irradiance| *irradiance * f64::from(scale)).collect()
     }
+}
+
+/// Irradiance on a surface of each of the normals.
+pub(super) fn irradiances(map: &RadianceMap, normals: &Normals) -> Vec<DVec3> {
+    normals.directions().iter().map(|normal| irradiance(map, *normal)).collect()
 }
 
 /// Irradiance on a surface of this normal: radiance · cosine · solid angle, summed over every pixel.
@@ -61,7 +65,7 @@ fn axis(count: usize, range: f64) -> Vec<f64> {
 
 /// Share of the irradiance on level ground that the light above μ + 2σ gives, in luminance. Mean and deviation are those
 /// of the upper hemisphere, weighted by solid angle.
-fn direct_share(map: &RadianceMap) -> f64 {
+pub(super) fn direct_share(map: &RadianceMap) -> f64 {
     let upper = || {
         let rows = map.rows().enumerate().take(map.height / 2);
         rows.flat_map(|(row, texels)| {

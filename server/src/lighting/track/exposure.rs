@@ -5,8 +5,9 @@
 //! ratios to the last frame would do in a single step, but their errors add up over the frames; against a reference they do
 //! not. What changes in a large part of the picture beyond the gain is a cut.
 
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Vec2, Vec3};
 use mr360_shaders::colour::{LUMA, luminance};
+use mr360_shaders::equirect::{direction_from_uv, pixel_solid_angle_sr};
 
 use super::super::cells::Cells;
 use super::super::panorama::Panorama;
@@ -36,8 +37,12 @@ pub(in super::super) struct Coarse {
 }
 
 impl Coarse {
-    /// Averages a panorama whose sides are multiples of 64 and 32.
+    /// Averages a panorama whose sides are multiples of 64 and 32, or repeats the texels of a smaller one.
     pub(in super::super) fn take(&mut self, panorama: &Panorama) {
+        if panorama.size.width < COLUMNS as u32 {
+            self.repeat(panorama);
+            return;
+        }
         let cells = self.cells.get_or_insert_with(|| Cells::new(panorama.size, panorama.size.width / COLUMNS as u32));
         cells.take(panorama);
         if self.directions.is_empty() {
@@ -50,6 +55,21 @@ impl Coarse {
         }
         self.radiance.clear();
         self.radiance.extend((0..COLUMNS * ROWS).map(|cell| cells.radiance(cell)));
+    }
+
+    /// Takes a panorama that is smaller than this.
+    fn repeat(&mut self, panorama: &Panorama) {
+        let (width, height) = (panorama.size.width as usize, panorama.size.height as usize);
+        if self.directions.is_empty() {
+            self.directions.extend((0..COLUMNS * ROWS).map(|texel| {
+                let (row, column) = (texel / COLUMNS, texel % COLUMNS);
+                let uv = Vec2::new((column as f32 + 0.5) / COLUMNS as f32, (row as f32 + 0.5) / ROWS as f32);
+                (direction_from_uv(uv), pixel_solid_angle_sr(row as u32, COLUMNS as u32, ROWS as u32))
+            }));
+        }
+        let under = |texel: usize| texel / COLUMNS * height / ROWS * width + texel % COLUMNS * width / COLUMNS;
+        self.radiance.clear();
+        self.radiance.extend((0..COLUMNS * ROWS).map(|texel| panorama.radiance(under(texel))));
     }
 
     /// Irradiance that the texels within an angle of a direction give on a surface facing them; `cosine` is the angle's.
