@@ -162,7 +162,7 @@ mod tests {
 
     #[test]
     fn a_frame_is_answered_in_its_own_exposure() {
-        let (map, _, ..) = room();
+        let (map, ..) = room();
         let codes: Vec<[u8; 3]> = map.texels().iter().map(|texel| (*texel * 0.25).to_array().map(code)).collect();
         let answer = Oracle::Regions.answer(&map, 0.25, &codes);
         assert!((energy(&answer.map) / energy(&map) - 0.25).abs().max_element() < 4e-3);

@@ -30,6 +30,7 @@ pub(super) struct Peer {
 }
 
 /// What is known of a peer before it runs.
+#[derive(Debug, Clone, Copy)]
 pub(super) struct Introduction {
     /// Name in tables.
     pub(super) name: &'static str,

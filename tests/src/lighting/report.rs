@@ -139,9 +139,13 @@ fn rendered(picture: usize) -> impl Fn(&[&Row]) -> String {
 }
 
 fn dominant(rows: &[&Row]) -> String {
-    let off: Vec<f64> =
-        rows.iter().filter_map(|row| if let Dominant::OffDeg(off) = row.score.dominant { Some(off) } else { None }).collect();
-    let missed = rows.iter().filter(|row| row.score.dominant == Dominant::NoLight).count();
+    directions(&rows.iter().map(|row| row.score.dominant).collect::<Vec<_>>())
+}
+
+/// Median and largest angle to the dominant light, and how often it was missed.
+pub(super) fn directions(met: &[Dominant]) -> String {
+    let off: Vec<f64> = met.iter().filter_map(|met| if let Dominant::OffDeg(off) = met { Some(*off) } else { None }).collect();
+    let missed = met.iter().filter(|met| **met == Dominant::NoLight).count();
     match (off.len() + missed, off.is_empty()) {
         (0, _) => "–".to_owned(),
         (_, true) => "no light".to_owned(),

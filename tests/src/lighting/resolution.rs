@@ -11,8 +11,8 @@ use mr360_server::lighting::{LightMethod, MethodSpec, StepTimes};
 use super::exposure::Exposure;
 use super::irradiance::Normals;
 use super::radiance_map::{Half, RadianceMap};
-use super::report::{per_cent, spread};
-use super::score::{Light, Score};
+use super::report::{directions, per_cent, spread};
+use super::score::{Dominant, Light, Score};
 use super::truth::Truth;
 use super::video_frame::{SIZE, VideoFrame};
 use super::{Options, name};
@@ -38,6 +38,7 @@ struct Row {
     exposure: Exposure,
     absolute: f64,
     scale_invariant: f64,
+    dominant: Dominant,
     time_ms: f64,
 }
 
@@ -92,6 +93,7 @@ fn measure(path: &Path, half: Half, rounds: u32) -> Result<Vec<Row>> {
                 exposure,
                 absolute: score.absolute,
                 scale_invariant: score.scale_invariant,
+                dominant: score.dominant,
                 time_ms: percentile(&times, 0.5).unwrap_or(f64::NAN),
             }
         }));
@@ -117,7 +119,8 @@ fn size(width: u32) -> String {
 }
 
 fn csv(rows: &[Row]) -> String {
-    let mut table = Table::new(&["method", "width", "panorama", "half", "exposure", "absolute", "scale_invariant", "time_ms"]);
+    let mut table =
+        Table::new(&["method", "width", "panorama", "half", "exposure", "absolute", "scale_invariant", "dominant_off_deg", "time_ms"]);
     for row in rows {
         table.push([
             row.method.to_owned(),
@@ -127,6 +130,7 @@ fn csv(rows: &[Row]) -> String {
             row.exposure.name(),
             format!("{:.5}", row.absolute),
             format!("{:.5}", row.scale_invariant),
+            if let Dominant::OffDeg(off) = row.dominant { format!("{off:.3}") } else { String::new() },
             format!("{:.4}", row.time_ms),
         ]);
     }
@@ -200,6 +204,11 @@ fn markdown(rows: &[Row], rounds: u32) -> String {
             format!("{} / {}", of(|row| row.absolute), of(|row| row.scale_invariant))
         });
         text += &format!("\nError, {}:\n\n{}", exposure.title(), errors.markdown());
+        let off = by_width(|method, width| {
+            let own = judged(rows).filter(|row| row.method == method && row.width == width && row.exposure == exposure);
+            directions(&own.map(|row| row.dominant).collect::<Vec<_>>())
+        });
+        text += &format!("\nDirection of the dominant light, {}:\n\n{}", exposure.title(), off.markdown());
     }
     for (title, hdr) in [("HDR", true), ("LDR", false)] {
         let times = by_width(|method, width| {
