@@ -39,6 +39,7 @@ mod steps;
 #[cfg(test)]
 mod test_skies;
 mod track;
+mod transpose;
 
 pub use directional::{Directional, MOST_LIGHTS};
 pub use iorns::Iorns;
