@@ -7,12 +7,15 @@
 //! arrays of eight, compiled for the widest vectors that the processor has (`pulp`). No sum is fused with its product, so
 //! that every processor finds the same light.
 
-use pulp::{Arch, Simd, WithSimd};
+use pulp::Arch;
+
+use super::transpose::{SIDE, Transpose, WithTranspose, dispatch};
 
 /// Rows of cells that are made at a time.
-pub(super) const BAND: usize = 8;
-/// Pixels of a row that are added downwards before they are turned: little enough to stay in the fastest cache.
-const STRIP: usize = 1024;
+pub(super) const BAND: usize = SIDE;
+/// Pixels of a row that are added downwards before they are turned: little enough to stay in the fastest cache, and an odd number of its lines,
+/// lest the eight rows compete for the same places in it.
+const STRIP: usize = 656;
 /// Source rows that are added in one go.
 const MOST_AT_ONCE: usize = 4;
 
@@ -134,7 +137,7 @@ impl Averages {
             turned.resize(pixels, [0.0; BAND]);
             averages.resize(cells * BAND, 0.0);
         }
-        self.arch.dispatch(Take { averages: self, plane, first_row: band * BAND, squares });
+        dispatch(self.arch, Take { averages: self, plane, first_row: band * BAND, squares });
     }
 
     /// Averages of the samples under row `row` of the band.
@@ -161,16 +164,14 @@ struct Take<'a, 'b> {
     squares: bool,
 }
 
-impl WithSimd for Take<'_, '_> {
-    type Output = ();
-
+impl WithTranspose for Take<'_, '_> {
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
+    fn with<T: Transpose>(self, transpose: T) {
         match (self.plane.wide, self.squares) {
-            (false, false) => self.run::<1, false>(|[sample]| f32::from(sample)),
-            (false, true) => self.run::<1, true>(|[sample]| f32::from(sample)),
-            (true, false) => self.run::<2, false>(ten_bits),
-            (true, true) => self.run::<2, true>(ten_bits),
+            (false, false) => self.run::<1, false>(transpose, |[sample]| f32::from(sample)),
+            (false, true) => self.run::<1, true>(transpose, |[sample]| f32::from(sample)),
+            (true, false) => self.run::<2, false>(transpose, ten_bits),
+            (true, true) => self.run::<2, true>(transpose, ten_bits),
         }
     }
 }
@@ -182,7 +183,7 @@ fn ten_bits(bytes: [u8; 2]) -> f32 {
 
 impl Take<'_, '_> {
     #[inline(always)]
-    fn run<const BYTES: usize, const SQUARES: bool>(self, sample: impl Fn([u8; BYTES]) -> f32 + Copy) {
+    fn run<const BYTES: usize, const SQUARES: bool>(self, transpose: impl Transpose, sample: impl Fn([u8; BYTES]) -> f32 + Copy) {
         let Averages { columns, rows, strips, turned, averages, cells, .. } = self.averages;
         let [means, squares] = strips.as_mut();
         let width = self.plane.width as usize;
@@ -196,14 +197,14 @@ impl Take<'_, '_> {
                 };
                 add_downwards::<BYTES, SQUARES>(pixels, shares, sample, &mut means[row], &mut squares[row]);
             }
-            turn(means, &mut turned[0][start..]);
+            turn(transpose, means, &mut turned[0][start..]);
             if SQUARES {
-                turn(squares, &mut turned[1][start..]);
+                turn(transpose, squares, &mut turned[1][start..]);
             }
         }
         for power in 0..1 + usize::from(SQUARES) {
             add_across(&turned[power], columns, cells);
-            turn_back(cells, &mut averages[power]);
+            turn_back(transpose, cells, &mut averages[power]);
         }
     }
 }
@@ -219,22 +220,36 @@ fn add_downwards<'a, const BYTES: usize, const SQUARES: bool>(
 ) {
     for (i, shares) in shares.chunks(MOST_AT_ONCE).enumerate() {
         let row = |k: usize| pixels(i * MOST_AT_ONCE + k);
-        let first = i == 0;
-        match *shares {
-            [a] => add_rows::<_, _, SQUARES>([row(0)], [a], first, sample, means, squares),
-            [a, b] => add_rows::<_, _, SQUARES>([row(0), row(1)], [a, b], first, sample, means, squares),
-            [a, b, c] => add_rows::<_, _, SQUARES>([row(0), row(1), row(2)], [a, b, c], first, sample, means, squares),
-            [a, b, c, d] => add_rows::<_, _, SQUARES>([row(0), row(1), row(2), row(3)], [a, b, c, d], first, sample, means, squares),
-            _ => {}
+        if i == 0 {
+            add_some_rows::<BYTES, SQUARES, true>(row, shares, sample, means, squares);
+        } else {
+            add_some_rows::<BYTES, SQUARES, false>(row, shares, sample, means, squares);
         }
     }
 }
 
+/// Up to [`MOST_AT_ONCE`] rows, the `FIRST` of a row of cells or further ones.
 #[inline(always)]
-fn add_rows<const BYTES: usize, const ROWS: usize, const SQUARES: bool>(
+fn add_some_rows<'a, const BYTES: usize, const SQUARES: bool, const FIRST: bool>(
+    row: impl Fn(usize) -> &'a [[u8; BYTES]],
+    shares: &[f32],
+    sample: impl Fn([u8; BYTES]) -> f32,
+    means: &mut [f32; STRIP],
+    squares: &mut [f32; STRIP],
+) {
+    match *shares {
+        [a] => add_rows::<_, _, SQUARES, FIRST>([row(0)], [a], sample, means, squares),
+        [a, b] => add_rows::<_, _, SQUARES, FIRST>([row(0), row(1)], [a, b], sample, means, squares),
+        [a, b, c] => add_rows::<_, _, SQUARES, FIRST>([row(0), row(1), row(2)], [a, b, c], sample, means, squares),
+        [a, b, c, d] => add_rows::<_, _, SQUARES, FIRST>([row(0), row(1), row(2), row(3)], [a, b, c, d], sample, means, squares),
+        _ => {}
+    }
+}
+
+#[inline(always)]
+fn add_rows<const BYTES: usize, const ROWS: usize, const SQUARES: bool, const FIRST: bool>(
     rows: [&[[u8; BYTES]]; ROWS],
     shares: [f32; ROWS],
-    first: bool,
     sample: impl Fn([u8; BYTES]) -> f32,
     means: &mut [f32; STRIP],
     squares: &mut [f32; STRIP],
@@ -242,7 +257,7 @@ fn add_rows<const BYTES: usize, const ROWS: usize, const SQUARES: bool>(
     let pixels = rows.iter().fold(STRIP, |pixels, row| pixels.min(row.len()));
     let rows = rows.map(|row| &row[..pixels]);
     for pixel in 0..pixels {
-        let (mut mean, mut square) = if first { (0.0, 0.0) } else { (means[pixel], squares[pixel]) };
+        let (mut mean, mut square) = if FIRST { (0.0, 0.0) } else { (means[pixel], squares[pixel]) };
         for row in 0..ROWS {
             let value = sample(rows[row][pixel]);
             let weighted = shares[row] * value;
@@ -258,10 +273,9 @@ fn add_rows<const BYTES: usize, const ROWS: usize, const SQUARES: bool>(
 
 /// Turns the strip's eight rows into one column of eight for each pixel, as far as there is room.
 #[inline(always)]
-fn turn(strip: &Strip, columns: &mut [Column]) {
-    for (columns, start) in columns.chunks_exact_mut(BAND).zip((0..STRIP).step_by(BAND)) {
-        let square = std::array::from_fn(|row| std::array::from_fn(|pixel| strip[row][start + pixel]));
-        columns.copy_from_slice(&transposed(square));
+fn turn(transpose: impl Transpose, strip: &Strip, columns: &mut [Column]) {
+    for (columns, start) in columns.as_chunks_mut::<BAND>().0.iter_mut().zip((0..STRIP).step_by(BAND)) {
+        *columns = transpose.transposed(std::array::from_fn(|row| std::array::from_fn(|pixel| strip[row][start + pixel])));
     }
 }
 
@@ -303,41 +317,17 @@ fn weighted<'a>(pixels: impl Iterator<Item = (&'a Column, &'a f32)>) -> Column {
 
 /// Turns columns of eight back into eight rows.
 #[inline(always)]
-fn turn_back(cells: &[Column], rows: &mut [f32]) {
+fn turn_back(transpose: impl Transpose, cells: &[Column], rows: &mut [f32]) {
     let mut rows = rows.chunks_exact_mut(cells.len());
-    let mut rows: [&mut [f32]; BAND] = std::array::from_fn(|_| rows.next().unwrap_or_default());
-    for (group, columns) in cells.chunks_exact(BAND).enumerate() {
-        let square = transposed(std::array::from_fn(|column| columns[column]));
-        for (row, values) in rows.iter_mut().zip(square) {
-            if let Some(out) = row.get_mut(group * BAND..(group + 1) * BAND) {
-                out.copy_from_slice(&values);
-            }
+    let mut rows = std::array::from_fn::<_, BAND, _>(|_| rows.next().unwrap_or_default().as_chunks_mut::<BAND>().0);
+    let groups = rows.iter().fold(cells.len() / BAND, |groups, row| groups.min(row.len()));
+    let (cells, _) = cells.as_chunks::<BAND>();
+    rows.iter_mut().for_each(|row| *row = &mut std::mem::take(row)[..groups]);
+    for (group, columns) in cells[..groups].iter().enumerate() {
+        for (row, values) in rows.iter_mut().zip(transpose.transposed(*columns)) {
+            row[group] = values;
         }
     }
-}
-
-/// The transpose. Halves of rows that are four apart come together first, since that costs no more than loading them; then 4×4 values are
-/// turned in either half at once.
-#[inline(always)]
-fn transposed(rows: [[f32; BAND]; BAND]) -> [[f32; BAND]; BAND] {
-    let [a, b, c, d] = turned_halves::<0>(rows);
-    let [e, f, g, h] = turned_halves::<4>(rows);
-    [a, b, c, d, e, f, g, h]
-}
-
-/// Columns `FIRST` to `FIRST` + 3 as rows.
-#[inline(always)]
-fn turned_halves<const FIRST: usize>(rows: [[f32; BAND]; BAND]) -> [[f32; BAND]; 4] {
-    let both = |upper: usize| -> [f32; BAND] {
-        std::array::from_fn(|lane| if lane < 4 { rows[upper][FIRST + lane] } else { rows[upper + 4][FIRST + lane - 4] })
-    };
-    let singles =
-        |a: [f32; 8], b: [f32; 8]| ([a[0], b[0], a[1], b[1], a[4], b[4], a[5], b[5]], [a[2], b[2], a[3], b[3], a[6], b[6], a[7], b[7]]);
-    let pairs =
-        |a: [f32; 8], b: [f32; 8]| ([a[0], a[1], b[0], b[1], a[4], a[5], b[4], b[5]], [a[2], a[3], b[2], b[3], a[6], a[7], b[6], b[7]]);
-    let ((a, b), (c, d)) = (singles(both(0), both(1)), singles(both(2), both(3)));
-    let ((e, f), (g, h)) = (pairs(a, c), pairs(b, d));
-    [e, f, g, h]
 }
 
 #[cfg(test)]
@@ -371,14 +361,6 @@ mod tests {
         shares.fit(1, 2);
         shares.average(&[3.0], &mut out);
         assert_eq!(out, [3.0; 2]);
-    }
-
-    #[test]
-    fn transposed_twice_is_the_same() {
-        let square: [[f32; 8]; 8] = std::array::from_fn(|i| std::array::from_fn(|j| (8 * i + j) as f32));
-        let turned = transposed(square);
-        assert!((0..8).all(|i| (0..8).all(|j| turned[i][j] == square[j][i])));
-        assert_eq!(transposed(turned), square);
     }
 
     /// Every size class: up and down, whole and broken ratios, strips and bands that are not full, one and two bytes.

@@ -42,6 +42,7 @@ mod steps;
 #[cfg(test)]
 mod test_skies;
 mod track;
+mod transpose;
 
 pub use directional::{Directional, MOST_LIGHTS};
 pub use iorns::Iorns;
