@@ -31,6 +31,7 @@ mod paper_forms;
 mod radiance;
 mod recovery;
 mod regions;
+mod rgb;
 mod sampling;
 pub mod sequences;
 mod series;
