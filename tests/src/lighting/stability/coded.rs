@@ -32,7 +32,7 @@ fn sun() -> Vec3 {
     direction_from_uv(Vec2::new(SUN.0 / 360.0 + 0.5, 0.5 - SUN.1 / 180.0))
 }
 
-/// What there is besides the sun: mean radiance. The ground's albedo is a quarter.
+/// What there is besides the sun: mean radiance. The ground's albedo is a quarter unless told otherwise.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Weather {
     zenith: Vec3,
@@ -47,6 +47,9 @@ pub(super) const CLEAR: Weather =
 /// Clouds that are near white without being the sun's.
 pub(super) const BRIGHT: Weather =
     Weather { zenith: Vec3::new(0.22, 0.33, 0.52), horizon: 0.4, clouds: 0.85, ground: Vec3::new(0.32, 0.33, 0.24) };
+
+/// The same over dark ground, of an albedo of a tenth: fresh asphalt, water, needle trees.
+pub(super) const DARK: Weather = Weather { ground: Vec3::new(0.12, 0.13, 0.08), ..BRIGHT };
 
 /// Radiance of the scene: a sky with clouds and a sun, and ground of fields.
 fn radiance(weather: &Weather, d: Vec3) -> Vec3 {

@@ -52,7 +52,11 @@ pub(super) fn run(options: &Options) -> Result<String> {
     let clip = media(CLIP)?;
     let specs = methods()?;
     let sequences = sequences::all();
-    let still = [(report::CODED, "still.mp4", coded::CLEAR), (report::BRIGHT, "bright.mp4", coded::BRIGHT)];
+    let still = [
+        (report::CODED, "still.mp4", coded::CLEAR),
+        (report::BRIGHT, "bright.mp4", coded::BRIGHT),
+        (report::DARK, "dark.mp4", coded::DARK),
+    ];
     let count = sequences.len() + still.len() + 1;
     let progress = |place: usize, name: &str| eprintln!("lighting: {name} ({place} of {count})");
     let mut all = Vec::new();

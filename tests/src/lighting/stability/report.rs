@@ -12,6 +12,8 @@ use crate::table::Table;
 pub(super) const CODED: &str = "still, H.264 at 8 Mb/s";
 /// The same under clouds near white.
 pub(super) const BRIGHT: &str = "still under bright clouds, H.264 at 8 Mb/s";
+/// The same over dark ground.
+pub(super) const DARK: &str = "still over dark ground, H.264 at 8 Mb/s";
 /// The real clip, among the sequences.
 pub(super) const REAL: &str = "real clip";
 
@@ -146,7 +148,7 @@ const fn at_least(what: &'static str, sequences: &'static [&'static str], figure
     Bound { what, sequences, figure, limit: Limit::AtLeast(least) }
 }
 
-const STILL: &[&str] = &["still", CODED, BRIGHT];
+const STILL: &[&str] = &["still", CODED, BRIGHT, DARK];
 const PATHS: &[&str] = &["over the seam", "over the zenith"];
 const SHARES: &[&str] = &["clipped share", "clipped clouds"];
 const OVERCAST: &[&str] = &["overcast", "even overcast"];
@@ -156,9 +158,10 @@ const BEATS: &[&str] = &["lamp beat", "one lamp beats"];
 const TWO_FRAMES_MS: f64 = 66.7;
 
 /// What the default method is held to.
-static BOUNDS: [Bound; 17] = [
+static BOUNDS: [Bound; 18] = [
     bound("still scene: direction about its mean, degrees RMS", STILL, "wander_rms_deg", 0.1),
     bound("still scene: variation of the light, %", STILL, "strength_variation_percent", 1.0),
+    at_least("still scene: frames in which the light is found, %", STILL, "found_percent", 100.0),
     bound("still scene: births and deaths a second", STILL, "events_per_s", 0.0),
     bound("scene cut: light off in any frame, degrees", &["scene cut"], "off_worst_deg", 2.0),
     bound("scene cut: settled after, ms", &["scene cut"], "lag_ms", TWO_FRAMES_MS),
@@ -253,7 +256,7 @@ mod tests {
 
     #[test]
     fn bounds_name_what_is_missed() {
-        let still = Measures { wander_rms_deg: Some(0.05), strength_variation: Some(0.02), ..Measures::default() };
+        let still = Measures { found: Some(1.0), wander_rms_deg: Some(0.05), strength_variation: Some(0.02), ..Measures::default() };
         let share = Measures { found: Some(0.99), ..Measures::default() };
         let all = [watched("still", still), watched("clipped share", share), watched("overcast", Measures::default())];
         let text = bounds(&all).markdown();
@@ -264,7 +267,7 @@ mod tests {
         assert_eq!(overview(&all).lines().count(), 3);
         assert!(BOUNDS.iter().all(|bound| COLUMNS.iter().any(|column| column.name == bound.figure)));
         let known: Vec<&str> =
-            mr360_server::lighting::sequences::all().iter().map(|sequence| sequence.name).chain([CODED, BRIGHT, REAL]).collect();
+            mr360_server::lighting::sequences::all().iter().map(|sequence| sequence.name).chain([CODED, BRIGHT, DARK, REAL]).collect();
         assert!(BOUNDS.iter().flat_map(|bound| bound.sequences).all(|sequence| known.contains(sequence)));
         // Every chart has a file of its own.
         let mut files: Vec<String> = known.iter().map(|name| chart_name(name)).collect();
