@@ -30,6 +30,11 @@ impl Candidate {
     }
 }
 
+/// Reach of a candidate's core in radii of its effective solid angle.
+const CORE_RADII: f64 = 2.0;
+/// Steps of the mean shift; each leaves a part of the way, and none of what matters after these.
+const SHIFTS: usize = 6;
+
 /// The share of a pixel's radiance that stays in the panorama when its light is taken out: the minimum in
 /// Rhee et al. 2017, Eq. 4.
 fn kept_share(luminance: f32, threshold: f32) -> f32 {
@@ -59,6 +64,30 @@ impl Candidates {
     /// Candidates, strongest first.
     pub(super) fn list(&self) -> &[Candidate] {
         &self.list
+    }
+
+    /// Direction of a candidate's core, where shadows come from: the centroid of what lies within twice the radius of its effective solid angle,
+    /// found by mean shift from the centroid of all (Comaniciu & Meer 2002). An even disc is its own core; of a sun that runs together with a
+    /// bright cloud, or a lamp with a window, it is the sun or the lamp. The rest of the region's dipole stays in the SH.
+    pub(super) fn core(candidate: &Candidate, panorama: &Panorama, regions: &Regions, luma: Vec3, threshold: f32) -> DVec3 {
+        // Texels of one hemisphere cannot cancel out, except on its rim; straight up is as good as any then.
+        let mut core = candidate.direction.try_normalize().unwrap_or(DVec3::Y);
+        let radius = (1.0 - candidate.effective_solid_angle_sr() / std::f64::consts::TAU).clamp(-1.0, 1.0).acos();
+        let width = panorama.size.width as usize;
+        let cosine = (CORE_RADII * radius).min(std::f64::consts::PI).cos() as f32;
+        for _ in 0..SHIFTS {
+            let (mut sum, towards) = (DVec3::ZERO, core.as_vec3());
+            for texel in regions.members(candidate.region) {
+                let texel = *texel as usize;
+                let direction = panorama.geometry.direction(texel / width, texel % width);
+                if direction.dot(towards) >= cosine {
+                    let excess = (panorama.radiance(texel).dot(luma) - threshold).max(0.0);
+                    sum += direction.as_dvec3() * f64::from(excess * panorama.geometry.solid_angle_sr[texel / width]);
+                }
+            }
+            core = sum.try_normalize().unwrap_or(core);
+        }
+        core
     }
 
     /// Takes the light of the first `chosen` candidates out of the panorama; all others stay in it.

@@ -105,13 +105,19 @@ impl Clipped {
         self.list.sort_unstable_by(|a, b| b.strength.total_cmp(&a.strength));
         observations.clear();
         let room = observations.capacity();
-        observations.extend(self.list.iter().take(room).map(|region| Observation {
-            direction: region.direction(),
-            irradiance: region.irradiance,
-            solid_angle_sr: region.strength * region.strength / region.concentration,
-            share: region.strength / sky.energy,
-            hidden_share: (region.hidden / region.strength).clamp(0.0, 1.0),
-            sigma: f64::from(sky.sigma) * (region.hidden / region.strength).clamp(0.0, 1.0),
+        observations.extend(self.list.iter().take(room).map(|region| {
+            let hidden_share = (region.hidden / region.strength).clamp(0.0, 1.0);
+            let sigma = f64::from(sky.sigma) * hidden_share;
+            // A light that may well be one is one: missing the only lamp of a room is worse than a faint shadow too many.
+            let likely = region.strength * sigma.exp();
+            Observation {
+                direction: region.direction(),
+                irradiance: region.irradiance,
+                solid_angle_sr: region.strength * region.strength / region.concentration,
+                share: likely / (sky.energy + likely - region.strength),
+                hidden_share,
+                sigma,
+            }
         }));
     }
 

@@ -7,12 +7,12 @@
 //! the frame, and lights that are followed over time ([`super::track`]): what a frame shows is an observation, what is sent
 //! keeps its identity, moves and fades.
 
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 use mr360_protocol::light::{Lift, SH25};
 use mr360_shaders::colour::{LUMA, recovery_tint};
 use mr360_shaders::sh::basis25;
 
-use super::candidates::{Candidate, Candidates};
+use super::candidates::Candidates;
 use super::clipped::{self, Clipped, Sky};
 use super::panorama::Panorama;
 use super::recovery::{Recovered, Recoverer};
@@ -147,7 +147,14 @@ impl Directional {
             self.candidates.collect(&self.panorama, &self.regions, LUMA, threshold);
             let strongest = self.candidates.list().iter().take(MOST_OBSERVATIONS);
             self.observations.clear();
-            self.observations.extend(strongest.map(|candidate| observation(candidate, statistics.energy)));
+            self.observations.extend(strongest.map(|candidate| Observation {
+                direction: Candidates::core(candidate, &self.panorama, &self.regions, LUMA, threshold),
+                irradiance: candidate.irradiance,
+                solid_angle_sr: candidate.effective_solid_angle_sr(),
+                share: candidate.strength / statistics.energy,
+                hidden_share: 0.0,
+                sigma: 0.0,
+            }));
         });
     }
 }
@@ -164,18 +171,6 @@ fn row_sums(row: &[f32]) -> (f64, f64, f32) {
     }
     let total = |lanes: [f32; 8]| lanes.iter().map(|v| f64::from(*v)).sum();
     (total(sums), total(squares), largest.into_iter().fold(0.0, f32::max))
-}
-
-fn observation(candidate: &Candidate, energy: f64) -> Observation {
-    Observation {
-        // Texels of one hemisphere cannot cancel out, except on its rim; straight up is as good as any then.
-        direction: candidate.direction.try_normalize().unwrap_or(DVec3::Y),
-        irradiance: candidate.irradiance,
-        solid_angle_sr: candidate.effective_solid_angle_sr(),
-        share: candidate.strength / energy,
-        hidden_share: 0.0,
-        sigma: 0.0,
-    }
 }
 
 impl LightMethod for Directional {

@@ -1,8 +1,9 @@
 //! What is known of a light's strength: a frame that does not clip it says it, one that does can only guess.
 //!
-//! Exposures change while lights stay as they are. In canonical exposure a light that was seen unclipped is known, and remains so for a while
-//! when the exposure rises and clips it: an observation counts only when it is at least as sure as what is known has remained. What a frame
-//! still shows of a clipped light is a lower bound at any time.
+//! Exposures change while lights stay as they are. In canonical exposure a light that was seen unclipped is known, and remains so when the
+//! exposure rises and clips it. A guess gives way to what is surer; one guess gives way to another only when it differs by more than guesses
+//! waver, and than they differ between exposures. All else pulls slowly. What a frame still shows of a clipped light is a lower bound at any
+//! time.
 
 use glam::DVec3;
 
@@ -10,37 +11,55 @@ use super::LUMA;
 
 /// Standard deviation of the logarithm of a strength that is not clipped: grain and compression.
 const UNCLIPPED: f64 = 0.02;
-/// Variance that a strength gains each second in which nothing as sure was seen. Twenty seconds make it as unsure as a guess from a clipped
-/// region that hides all its light: automatic exposures settle in one or two, clouds take minutes.
-const DRIFT_PER_S: f64 = 0.05;
-/// What is this little less sure counts as equally sure: an observation wavers with the share of it that is clipped.
-const AS_SURE: f64 = 1.1;
+/// Time constant by which guesses pull at what is known. Automatic exposures settle within seconds and must not move a light by more than a
+/// few per cent; what is known is worth nothing any more after some minutes.
+const MEMORY_S: f64 = 60.0;
+/// Up to this standard deviation a strength is seen and not guessed.
+const SEEN: f64 = 0.05;
+/// What is surer than what is known has this share of its standard deviation, or less; what is as sure, up to the inverse of it.
+const SURER: f64 = 0.8;
+/// Guesses of one scene differ by up to this share of their standard deviation, from noise and from what moves about in it.
+const WAVER: f64 = 0.25;
+/// And by up to this part of the difference of their exposures, both as logarithms: what is clipped more is guessed less well.
+const EXPOSED: f64 = 0.5;
 
 /// Strength in canonical exposure, as the logarithm of each channel, and how sure it is.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Evidence {
     intensity: DVec3,
     sigma: f64,
+    /// Logarithm of the exposure in which it was seen.
+    exposure: f64,
 }
 
 impl Evidence {
-    /// All that is known is one observation: its logarithm and the standard deviation of that.
-    pub(super) fn new(intensity: DVec3, sigma: f64) -> Self {
-        Self { intensity, sigma: sigma.hypot(UNCLIPPED) }
+    /// One observation: the logarithm of its strength, the standard deviation of that, and the logarithm of its exposure.
+    pub(super) fn new(intensity: DVec3, sigma: f64, exposure: f64) -> Self {
+        Self { intensity, sigma: sigma.hypot(UNCLIPPED), exposure }
     }
 
     /// Takes an observation of which a share is hidden, `dt_s` after the last, and returns what is now known.
-    pub(super) fn take(&mut self, intensity: DVec3, hidden_share: f64, sigma: f64, dt_s: f64) -> DVec3 {
-        let seen = Self::new(intensity, sigma);
-        self.sigma = self.sigma.hypot((DRIFT_PER_S * dt_s.max(0.0)).sqrt());
-        if seen.sigma <= AS_SURE * self.sigma {
-            *self = seen;
+    pub(super) fn take(&mut self, seen: &Self, hidden_share: f64, dt_s: f64) -> DVec3 {
+        if self.gives_way(seen) {
+            *self = *seen;
         } else {
-            let shown_ln = (1.0 - hidden_share).max(f64::MIN_POSITIVE).ln();
-            let short = strength_ln(intensity) + shown_ln - strength_ln(self.intensity);
-            self.intensity += DVec3::splat(short.max(0.0));
+            let pull = 1.0 - (-dt_s.max(0.0) / MEMORY_S).exp();
+            self.intensity += (seen.intensity - self.intensity) * pull;
+            self.sigma += (seen.sigma - self.sigma) * pull;
         }
+        let shown_ln = (1.0 - hidden_share).max(f64::MIN_POSITIVE).ln();
+        let short = strength_ln(seen.intensity) + shown_ln - strength_ln(self.intensity);
+        self.intensity += DVec3::splat(short.max(0.0));
         self.intensity
+    }
+
+    fn gives_way(&self, seen: &Self) -> bool {
+        if seen.sigma <= SEEN || seen.sigma <= SURER * self.sigma {
+            return true;
+        }
+        let differs = (strength_ln(seen.intensity) - strength_ln(self.intensity)).abs();
+        let explained = WAVER * seen.sigma + EXPOSED * (seen.exposure - self.exposure).abs();
+        seen.sigma <= self.sigma / SURER && differs > explained
     }
 }
 
@@ -61,30 +80,47 @@ mod tests {
 
     #[test]
     fn what_was_seen_unclipped_outlives_a_rise_of_the_exposure_but_not_for_ever() {
-        let mut evidence = Evidence::new(grey(10.0), 0.0);
-        let known = |known: DVec3| known.x.exp();
+        let mut evidence = Evidence::new(grey(10.0), 0.0, 0.0);
         // Clipped from now on, and guessed to be a third.
-        let after = |evidence: &mut Evidence, seconds: usize| {
-            (0..30 * seconds).map(|_| known(evidence.take(grey(3.0), 0.8, 1.0, DT_S))).last().unwrap()
+        let guess = Evidence::new(grey(3.0), 1.0, 2.0);
+        let mut after = |seconds: usize| (0..30 * seconds).map(|_| evidence.take(&guess, 0.8, DT_S).x.exp()).last().unwrap();
+        let pulled = |seconds: f64| 3.0 * (10f64 / 3.0).powf((-seconds / MEMORY_S).exp());
+        assert!((after(4) / pulled(4.0) - 1.0).abs() < 1e-6 && pulled(4.0) > 9.2);
+        assert!((after(16) / pulled(20.0) - 1.0).abs() < 1e-6 && pulled(20.0) < 7.1);
+        // What is seen is taken at once, without a step in between.
+        let seen = Evidence::new(grey(12.0), 0.0, 0.0);
+        assert!((evidence.take(&seen, 0.0, DT_S).x.exp() - 12.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn guesses_give_way_to_changes_and_not_to_noise_nor_to_the_exposure() {
+        let first = Evidence::new(grey(5.0), 0.4, 0.0);
+        let after = |seen: Evidence| {
+            let mut evidence = first;
+            evidence.take(&seen, 0.5, DT_S).x.exp()
         };
-        assert!((after(&mut evidence, 10) - 10.0).abs() < 1e-9);
-        // 1/0.05 seconds, less a fifth for being nearly as sure.
-        assert!((after(&mut evidence, 8) - 3.0).abs() < 1e-9);
-        // From then on the guess is followed.
-        assert!((known(evidence.take(grey(4.0), 0.8, 1.0, DT_S)) - 4.0).abs() < 1e-9);
-        // And what is seen is taken at once.
-        assert!((known(evidence.take(grey(12.0), 0.0, 0.0, DT_S)) - 12.0).abs() < 1e-9);
+        let near = |value: f64, expected: f64| assert!((value / expected - 1.0).abs() < 1e-3, "{value} {expected}");
+        // A tenth of a deviation of 0.4 is noise, and twice as much light is none.
+        near(after(Evidence::new(grey(5.0 * 1.08), 0.4, 0.0)), 5.0);
+        near(after(Evidence::new(grey(10.0), 0.4, 0.0)), 10.0);
+        near(after(Evidence::new(grey(2.5), 0.4, 0.0)), 2.5);
+        // Unless the exposure has doubled twice since; then half is hidden, and half of 10 shown.
+        near(after(Evidence::new(grey(9.0), 0.45, 4f64.ln())), 5.0);
+        near(after(Evidence::new(grey(3.0), 0.45, 4f64.ln())), 5.0);
+        // What is much surer counts, what is less sure does not.
+        near(after(Evidence::new(grey(6.0), 0.2, -1.0)), 6.0);
+        near(after(Evidence::new(grey(2.0), 0.8, 0.0)), 5.0);
     }
 
     #[test]
     fn a_clipped_light_is_at_least_what_it_shows() {
-        let mut evidence = Evidence::new(grey(1.0), 0.0);
+        let mut evidence = Evidence::new(grey(1.0), 0.0, 0.0);
         // Of a guess of 20, a tenth is in the picture.
-        let known = evidence.take(grey(20.0), 0.9, 1.1, DT_S);
+        let known = evidence.take(&Evidence::new(grey(20.0), 1.1, 0.0), 0.9, DT_S);
         assert!((known.x.exp() - 2.0).abs() < 1e-9, "{known}");
-        // Its colour stays.
-        let mut warm = Evidence::new(DVec3::new(2.0, 1.0, 0.5).map(f64::ln), 0.0);
-        let known = warm.take(grey(20.0), 0.5, 1.1, DT_S);
-        assert!((known.x - known.y - 2f64.ln()).abs() < 1e-9 && (known.exp().dot(LUMA) - 10.0).abs() < 1e-9, "{known}");
+        // Its colour stays, but for what the guess pulls.
+        let mut warm = Evidence::new(DVec3::new(2.0, 1.0, 0.5).map(f64::ln), 0.0, 0.0);
+        let known = warm.take(&Evidence::new(grey(20.0), 1.1, 0.0), 0.5, DT_S);
+        assert!((known.x - known.y - 2f64.ln()).abs() < 1e-3 && (known.exp().dot(LUMA) - 10.0).abs() < 1e-9, "{known}");
     }
 }

@@ -57,6 +57,10 @@ pub(super) fn canonical(irradiance: DVec3, gains: Gains) -> DVec3 {
     scene.max(DVec3::splat(least)).ln()
 }
 
+fn evidence(seen: &Observation, gains: Gains) -> Evidence {
+    Evidence::new(canonical(seen.irradiance, gains), seen.sigma, gains.measured.dot(LUMA).ln())
+}
+
 /// Logarithm of the luminance of such an irradiance.
 pub(super) fn strength_ln(intensity: DVec3) -> f64 {
     intensity.exp().dot(LUMA).ln()
@@ -68,7 +72,7 @@ impl Track {
             id: None,
             direction: Follower::new(seen.direction),
             intensity: Follower::new(canonical(seen.irradiance, gains)),
-            evidence: Evidence::new(canonical(seen.irradiance, gains), seen.sigma),
+            evidence: evidence(&seen, gains),
             solid_angle_ln: seen.solid_angle_sr.ln(),
             share: seen.share,
             alive: false,
@@ -97,7 +101,7 @@ impl Track {
     fn observe(&mut self, seen: Observation, gains: Gains, dt_s: f64) {
         self.direction.observe(&DIRECTION, seen.direction, dt_s);
         self.direction.normalize();
-        let known = self.evidence.take(canonical(seen.irradiance, gains), seen.hidden_share, seen.sigma, dt_s);
+        let known = self.evidence.take(&evidence(&seen, gains), seen.hidden_share, dt_s);
         self.intensity.observe(&INTENSITY, known, dt_s);
         self.solid_angle_ln += (1.0 - (-dt_s / WIDTH_S).exp()) * (seen.solid_angle_sr.ln() - self.solid_angle_ln);
         (self.share, self.seen) = (seen.share, Some(seen));
@@ -107,7 +111,7 @@ impl Track {
     fn become_seen(&mut self, seen: Observation, gains: Gains) {
         self.direction.jump(seen.direction);
         self.intensity.jump(canonical(seen.irradiance, gains));
-        self.evidence = Evidence::new(canonical(seen.irradiance, gains), seen.sigma);
+        self.evidence = evidence(&seen, gains);
         self.solid_angle_ln = seen.solid_angle_sr.ln();
         (self.share, self.seen) = (seen.share, Some(seen));
     }

@@ -52,7 +52,7 @@ pub(super) struct Observation {
     pub(super) irradiance: DVec3,
     /// Solid angle.
     pub(super) solid_angle_sr: f64,
-    /// Its share of the energy of the upper hemisphere.
+    /// Its share of the energy of the upper hemisphere; of a clipped one, what it may be within a standard deviation.
     pub(super) share: f64,
     /// Part of its strength that was clipped and is estimated.
     pub(super) hidden_share: f64,
