@@ -8,6 +8,8 @@
 //!
 //! What no frame shows it cannot say: a small sun in a clear evening sky is taken for the glow of one that has set, three times too weak.
 
+use crate::lighting::elementary::{ln, tanh};
+
 /// What is known of a clipped place.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Surroundings {
@@ -48,16 +50,18 @@ const LEAST_OPEN: f32 = 1e-3;
 pub(super) const LEAST_RIM: f64 = 1e-5;
 
 /// Brightness of what is not clipped around a place, as a logarithm; `shown` and `open` are its luminance and its share, blurred.
+#[inline(always)]
 pub(super) fn brightness_ln(shown: f32, open: f32) -> f32 {
-    (shown.max(0.0) / (open.max(0.0) + LEAST_OPEN) + LEAST_BRIGHTNESS).ln()
+    ln(shown.max(0.0) / (open.max(0.0) + LEAST_OPEN) + LEAST_BRIGHTNESS)
 }
 
 /// Natural logarithm of hidden over shown luminance.
+#[inline(always)]
 pub(super) fn excess_ln(place: &Surroundings) -> f32 {
     let given = [place.size, place.height, place.ground_ln, place.brightness_ln];
     let x: [f32; 4] = std::array::from_fn(|i| ((given[i] - MEAN[i]) / DEVIATION[i]).clamp(-FARTHEST, FARTHEST));
     let dot = |weights: &[f32; 4]| weights.iter().zip(x).map(|(weight, x)| weight * x).sum::<f32>();
-    let units = UNITS.iter().map(|(weights, offset, weight)| weight * (dot(weights) + offset).tanh());
+    let units = UNITS.iter().map(|(weights, offset, weight)| weight * tanh(dot(weights) + offset));
     (OFFSET + dot(&LINEAR) + units.sum::<f32>()).min(mr360_protocol::light::MAX_GAIN_LN)
 }
 
