@@ -2,7 +2,7 @@
 
 use pulp::{Arch, Simd, WithSimd};
 
-use super::vectors::{load, store, vectors};
+use super::vectors::{all_zero, load, store, vectors};
 use crate::lighting::transpose::{SIDE, Square, Transpose, WithTranspose, dispatch};
 
 /// Blurs fields of one size.
@@ -60,7 +60,7 @@ impl WithTranspose for AlongRows<'_> {
         let groups = self.field.chunks(SIDE * columns).zip(pass.chunks_mut(SIDE * columns)).zip(cos_latitude.chunks(SIDE));
         for ((rows, out), cos_latitude) in groups {
             // Most of a frame is not clipped at all.
-            if rows.iter().all(|value| *value == 0.0) {
+            if all_zero(rows) {
                 out.fill(0.0);
                 continue;
             }
@@ -112,16 +112,16 @@ fn mean_along(sums: &mut [f32], reach: usize, out: &mut [f32]) {
         return;
     }
     let (once, again) = sums.split_at_mut(columns + 1);
-    again.iter_mut().zip(&once[1..=width]).for_each(|(sum, from_start)| *sum = whole + from_start);
-    let share = 1.0 / width as f32;
+    for (sum, from_start) in again.iter_mut().zip(&once[1..=width]) {
+        *sum = whole + from_start;
+    }
     let (before, after) = out.split_at_mut(reach);
     // The box that begins at the first cell has its middle `reach` cells on.
-    let (from, to) = (&*sums, &sums[width..]);
-    let means = |out: &mut [f32], from: &[f32], to: &[f32]| {
-        out.iter_mut().zip(from).zip(to).for_each(|((out, from), to)| *out = (to - from) * share);
-    };
-    means(after, from, to);
-    means(before, &from[columns - reach..], &to[columns - reach..]);
+    for (out, start) in [(after, 0), (before, columns - reach)] {
+        for ((out, from), to) in out.iter_mut().zip(&sums[start..]).zip(&sums[start + width..]) {
+            *out = (to - from) * (1.0 / width as f32);
+        }
+    }
 }
 
 /// Means over a box down the columns, weighted by solid angle and cut at the poles.
@@ -138,21 +138,22 @@ impl WithSimd for DownColumns<'_> {
     fn with_simd<S: Simd>(self, simd: S) {
         let Blur { columns, solid_angle_sr, pass, down, .. } = self.blur;
         let (columns, rows, cells) = (*columns, solid_angle_sr.len(), self.cells);
-        let row_of = |row: usize| &pass[row * columns..(row + 1) * columns];
         down.fill(0.0);
         for row in 0..cells.min(rows) {
             let share = solid_angle_sr[row];
-            down.iter_mut().zip(row_of(row)).for_each(|(sum, value)| *sum += share * value);
+            for (sum, value) in down.iter_mut().zip(&pass[row * columns..(row + 1) * columns]) {
+                *sum += share * value;
+            }
         }
         for (row, out) in self.out.chunks_exact_mut(columns).enumerate() {
-            // A share of nothing where the box is cut, from whatever row.
-            let share = |row: Option<usize>| match row.filter(|row| *row < rows) {
-                Some(row) => (row_of(row), solid_angle_sr[row]),
-                None => (row_of(0), 0.0),
-            };
-            let ((entering, enters), (leaving, leaves)) = (share(Some(row + cells)), share(row.checked_sub(cells + 1)));
-            let weight: f32 = solid_angle_sr[row.saturating_sub(cells)..(row + cells + 1).min(rows)].iter().sum();
-            let [enters, leaves, inverse] = [enters, leaves, 1.0 / weight].map(|value| simd.splat_f32s(value));
+            // Where the box is cut, nothing of whatever row enters or leaves.
+            let (below, above) = (row + cells, row.checked_sub(cells + 1));
+            let (entering, enters) = if below < rows { (below, solid_angle_sr[below]) } else { (0, 0.0) };
+            let (leaving, leaves) = above.map_or((0, 0.0), |above| (above, solid_angle_sr[above]));
+            let (entering, leaving) =
+                (&pass[entering * columns..(entering + 1) * columns], &pass[leaving * columns..(leaving + 1) * columns]);
+            let weight: f32 = solid_angle_sr[row.saturating_sub(cells)..(below + 1).min(rows)].iter().sum();
+            let (enters, leaves, inverse) = (simd.splat_f32s(enters), simd.splat_f32s(leaves), simd.splat_f32s(1.0 / weight));
             for vector in 0..vectors::<S>(columns) {
                 let sum = simd.add_f32s(load(simd, down, vector), simd.mul_f32s(enters, load(simd, entering, vector)));
                 let sum = simd.sub_f32s(sum, simd.mul_f32s(leaves, load(simd, leaving, vector)));

@@ -157,11 +157,11 @@ impl Take<'_> {
     fn add_texels<S: Simd>(&mut self, simd: S, texel_row: usize, first: bool) -> Vec3 {
         let Sums { open_rgb, brightest, .. } = &mut self.cells.sums;
         let solid_angle_sr = simd.splat_f32s(self.panorama.geometry.solid_angle_sr[texel_row]);
-        let texels = [0, 1, 2].map(|channel| self.panorama.row(channel, texel_row));
+        let texels = [self.panorama.row(0, texel_row), self.panorama.row(1, texel_row), self.panorama.row(2, texel_row)];
         let mut of_row = [simd.splat_f32s(0.0); 3];
         for vector in 0..vectors::<S>(brightest.len()) {
-            let radiance = texels.map(|row| load(simd, row, vector));
-            let [red, green, blue] = radiance;
+            let radiance @ [red, green, blue] =
+                [load(simd, texels[0], vector), load(simd, texels[1], vector), load(simd, texels[2], vector)];
             let mut most = simd.max_f32s(simd.max_f32s(red, green), blue);
             for channel in 0..3 {
                 of_row[channel] = simd.add_f32s(of_row[channel], radiance[channel]);
@@ -176,7 +176,8 @@ impl Take<'_> {
             }
             store(simd, brightest, vector, most);
         }
-        Vec3::from_array(of_row.map(|sum| simd.reduce_sum_f32s(sum)))
+        let [red, green, blue] = of_row;
+        Vec3::new(simd.reduce_sum_f32s(red), simd.reduce_sum_f32s(green), simd.reduce_sum_f32s(blue))
     }
 
     /// Corrects the sums over a row of cells for its clipped texels; returns whether there are any.
@@ -204,33 +205,41 @@ impl Take<'_> {
         found
     }
 
+    /// Corrects the sums over one patch. Nothing but plain loops: a closure that is not inlined knows no vectors, and calls every operation.
     #[inline(always)]
     fn correct_patch<S: Simd>(&mut self, simd: S, row: usize, patch: usize) {
         let Cells { side, clipped, lit, sums, .. } = &mut *self.cells;
         let width = sums.brightest.len();
-        let mut of_patch = [simd.splat_f32s(0.0); 3];
-        let mut open = sums.open_rgb.each_ref().map(|sums| load(simd, sums, patch));
+        let zero = simd.splat_f32s(0.0);
+        let (mut all_sr, mut any_sr, mut flux) = (zero, zero, zero);
+        let mut open = [load(simd, &sums.open_rgb[0], patch), load(simd, &sums.open_rgb[1], patch), load(simd, &sums.open_rgb[2], patch)];
         for texel_row in row * *side..(row + 1) * *side {
+            let texels = texel_row * width..(texel_row + 1) * width;
             let solid_angle_sr = simd.splat_f32s(self.panorama.geometry.solid_angle_sr[texel_row]);
-            let radiance = [0, 1, 2].map(|channel| load(simd, self.panorama.row(channel, texel_row), patch));
-            let degrees @ [red, green, blue] = radiance.map(|radiance| clipped_degree(simd, radiance));
-            let all = simd.min_f32s(simd.min_f32s(red, green), blue);
-            let any = simd.mul_f32s(simd.max_f32s(simd.max_f32s(red, green), blue), solid_angle_sr);
-            let mut luminance = simd.splat_f32s(0.0);
+            let (mut radiance, mut degree, mut luminance) = ([zero; 3], [zero; 3], zero);
             for channel in 0..3 {
-                let shown = simd.mul_f32s(radiance[channel], degrees[channel]);
-                luminance = simd.add_f32s(luminance, simd.mul_f32s(shown, simd.splat_f32s(LUMA[channel])));
+                radiance[channel] = load(simd, &self.panorama.channels[channel][texels.clone()], patch);
+                degree[channel] = clipped_degree(simd, radiance[channel]);
+                let shown = simd.mul_f32s(radiance[channel], degree[channel]);
+                luminance = simd.add_f32s(luminance, simd.mul_f32s(shown, simd.splat_f32s(LUMA.to_array()[channel])));
+            }
+            let all = simd.min_f32s(simd.min_f32s(degree[0], degree[1]), degree[2]);
+            let any = simd.mul_f32s(simd.max_f32s(simd.max_f32s(degree[0], degree[1]), degree[2]), solid_angle_sr);
+            for channel in 0..3 {
                 open[channel] = simd.sub_f32s(open[channel], simd.mul_f32s(radiance[channel], any));
             }
-            let texels = texel_row * width..(texel_row + 1) * width;
             store(simd, &mut clipped[texels.clone()], patch, all);
             store(simd, &mut lit[texels], patch, luminance);
-            let added = [simd.mul_f32s(all, solid_angle_sr), any, simd.mul_f32s(luminance, solid_angle_sr)];
-            of_patch.iter_mut().zip(added).for_each(|(sum, added)| *sum = simd.add_f32s(*sum, added));
+            all_sr = simd.add_f32s(all_sr, simd.mul_f32s(all, solid_angle_sr));
+            any_sr = simd.add_f32s(any_sr, any);
+            flux = simd.add_f32s(flux, simd.mul_f32s(luminance, solid_angle_sr));
         }
-        let Sums { open_rgb, all, any, clipped_flux, .. } = sums;
-        open_rgb.iter_mut().zip(open).for_each(|(sums, open)| store(simd, sums, patch, open));
-        [all, any, clipped_flux].into_iter().zip(of_patch).for_each(|(sums, of_patch)| store(simd, sums, patch, of_patch));
+        for channel in 0..3 {
+            store(simd, &mut sums.open_rgb[channel], patch, open[channel]);
+        }
+        store(simd, &mut sums.all, patch, all_sr);
+        store(simd, &mut sums.any, patch, any_sr);
+        store(simd, &mut sums.clipped_flux, patch, flux);
     }
 
     /// From the sums over a row of cells to its shares and means; `any` says whether any of it is clipped.
@@ -239,10 +248,10 @@ impl Take<'_> {
         let share = 1.0 / self.cells.solid_angle_sr[row];
         let Cells { columns, side, clipped_share, open_share, shown, open_rgb, clipped_flux, sums, clipped_sr, .. } = &mut *self.cells;
         let cells = row * *columns..(row + 1) * *columns;
-        let open_rgb = open_rgb.each_mut().map(|open| &mut open[cells.clone()]);
+        let [red, green, blue] = open_rgb;
+        let (red, green, blue) = (&mut red[cells.clone()], &mut green[cells.clone()], &mut blue[cells.clone()]);
         let (clipped_share, open_share) = (&mut clipped_share[cells.clone()], &mut open_share[cells.clone()]);
         let (shown, clipped_flux) = (&mut shown[cells.clone()], &mut clipped_flux[cells]);
-        let [red, green, blue] = open_rgb;
         for (open, sums) in [&mut *red, &mut *green, &mut *blue].into_iter().zip(&sums.open_rgb) {
             add_sides(sums, *side, open);
         }
@@ -258,9 +267,11 @@ impl Take<'_> {
         add_sides(&sums.all, *side, clipped_share);
         add_sides(&sums.any, *side, open_share);
         add_sides(&sums.clipped_flux, *side, clipped_flux);
-        *clipped_sr += open_share.iter().map(|any| f64::from(*any)).sum::<f64>();
-        clipped_share.iter_mut().for_each(|clipped| *clipped *= share);
-        open_share.iter_mut().for_each(|open| *open = 1.0 - share * *open);
+        for (clipped, open) in clipped_share.iter_mut().zip(open_share) {
+            *clipped_sr += f64::from(*open);
+            *clipped *= share;
+            *open = 1.0 - share * *open;
+        }
     }
 }
 

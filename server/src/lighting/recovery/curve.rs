@@ -31,24 +31,31 @@ impl WithSimd for Through<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> (f32, Vec3) {
         let Places { excess_ln, clipped_flux, directions: [x, y, z], exponentials, .. } = &mut *self.places;
-        exponentials.iter_mut().zip(excess_ln.iter()).for_each(|(root, ln)| *root = exp(0.5 * ln));
+        for (root, ln) in exponentials.iter_mut().zip(excess_ln.iter()) {
+            *root = exp(0.5 * ln);
+        }
         // One half of a symmetric matrix, row by row.
         let (mut normal, mut right, mut hidden) = ([0.0; 10], [0.0; 4], 0.0);
         for (((((root, flux), ln), x), y), z) in exponentials.iter().zip(clipped_flux.iter()).zip(excess_ln).zip(x).zip(y).zip(z) {
             let (root, ln, basis) = (f64::from(*root), f64::from(*ln), [1.0, f64::from(*x), f64::from(*y), f64::from(*z)]);
             let weight = f64::from(*flux) * root;
             hidden += weight * root;
-            let weighted = basis.map(|value| weight * value);
-            let [a, b, c, d] = weighted;
+            let [a, b, c, d] = [weight, weight * basis[1], weight * basis[2], weight * basis[3]];
             let products = [a, b, c, d, b * basis[1], b * basis[2], b * basis[3], c * basis[2], c * basis[3], d * basis[3]];
-            normal.iter_mut().zip(products).for_each(|(sum, product)| *sum += product);
-            right.iter_mut().zip(weighted).for_each(|(sum, weighted)| *sum += weighted * ln);
+            for i in 0..10 {
+                normal[i] += products[i];
+            }
+            for i in 0..4 {
+                right[i] += products[i] * ln;
+            }
         }
-        let slope = slope(&normal, right);
-        let Some(slope) = slope else { return (0.0, Vec3::ZERO) };
+        let Some(slope) = slope(&normal, right) else { return (0.0, Vec3::ZERO) };
         Exponentials { places: &mut *self.places, level: 0.0, slope, most: f32::INFINITY }.with_simd(simd);
-        let drawn = self.places.exponentials.iter().zip(&self.places.clipped_flux).map(|(gain, flux)| f64::from(gain * flux));
-        (((hidden / drawn.sum::<f64>()).ln() as f32).clamp(-MAX_GAIN_LN, MAX_GAIN_LN), slope)
+        let mut drawn = 0.0;
+        for (gain, flux) in self.places.exponentials.iter().zip(&self.places.clipped_flux) {
+            drawn += f64::from(gain * flux);
+        }
+        (((hidden / drawn).ln() as f32).clamp(-MAX_GAIN_LN, MAX_GAIN_LN), slope)
     }
 }
 

@@ -59,10 +59,20 @@ pub(super) fn brightness_ln(shown: f32, open: f32) -> f32 {
 #[inline(always)]
 pub(super) fn excess_ln(place: &Surroundings) -> f32 {
     let given = [place.size, place.height, place.ground_ln, place.brightness_ln];
-    let x: [f32; 4] = std::array::from_fn(|i| ((given[i] - MEAN[i]) / DEVIATION[i]).clamp(-FARTHEST, FARTHEST));
-    let dot = |weights: &[f32; 4]| weights.iter().zip(x).map(|(weight, x)| weight * x).sum::<f32>();
-    let units = UNITS.iter().map(|(weights, offset, weight)| weight * tanh(dot(weights) + offset));
-    (OFFSET + dot(&LINEAR) + units.sum::<f32>()).min(mr360_protocol::light::MAX_GAIN_LN)
+    let mut sum = OFFSET;
+    let mut units = [0.0; UNITS.len()];
+    // Plain loops, so that those over many places are compiled for vectors.
+    for i in 0..given.len() {
+        let x = ((given[i] - MEAN[i]) * (1.0 / DEVIATION[i])).clamp(-FARTHEST, FARTHEST);
+        sum += LINEAR[i] * x;
+        for unit in 0..UNITS.len() {
+            units[unit] += UNITS[unit].0[i] * x;
+        }
+    }
+    for unit in 0..UNITS.len() {
+        sum += UNITS[unit].2 * tanh(units[unit] + UNITS[unit].1);
+    }
+    sum.min(mr360_protocol::light::MAX_GAIN_LN)
 }
 
 /// Standard deviation of the logarithm of the hidden flux.

@@ -147,14 +147,17 @@ impl WithSimd for RimSums<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> Rim {
         let Recoverer { cells, rim, .. } = self.recoverer;
-        Rim(cells.open_rgb.each_ref().map(|open| {
-            let rows = open.chunks_exact(cells.columns).zip(rim.chunks_exact(cells.columns));
-            let sum = |(open, rim): (&[f32], &[f32])| {
-                let products = (0..vectors::<S>(open.len())).map(|i| simd.mul_f32s(load(simd, open, i), load(simd, rim, i)));
-                f64::from(simd.reduce_sum_f32s(products.fold(simd.splat_f32s(0.0), |sum, product| simd.add_f32s(sum, product))))
-            };
-            rows.map(sum).sum()
-        }))
+        let mut energy = [0.0; 3];
+        for (energy, open) in energy.iter_mut().zip(&cells.open_rgb) {
+            for (open, rim) in open.chunks_exact(cells.columns).zip(rim.chunks_exact(cells.columns)) {
+                let mut sum = simd.splat_f32s(0.0);
+                for vector in 0..vectors::<S>(cells.columns) {
+                    sum = simd.add_f32s(sum, simd.mul_f32s(load(simd, open, vector), load(simd, rim, vector)));
+                }
+                *energy += f64::from(simd.reduce_sum_f32s(sum));
+            }
+        }
+        Rim(energy)
     }
 }
 
@@ -172,7 +175,7 @@ impl WithSimd for Brighten<'_> {
     fn with_simd<S: Simd>(self, simd: S) -> f64 {
         let Recoverer { cells, gains, gains_of_row, .. } = self.recoverer;
         let Panorama { channels, geometry, .. } = self.panorama;
-        let tint = self.tint.to_array().map(|tint| simd.splat_f32s(tint));
+        let tint = [simd.splat_f32s(self.tint.x), simd.splat_f32s(self.tint.y), simd.splat_f32s(self.tint.z)];
         let width = gains_of_row.len();
         let mut hidden = 0.0;
         for (row, gains) in gains.chunks_exact(cells.columns).enumerate() {
@@ -184,12 +187,15 @@ impl WithSimd for Brighten<'_> {
             for texel_row in row * cells.side..(row + 1) * cells.side {
                 let texels = texel_row * width..(texel_row + 1) * width;
                 let mut of_row = simd.splat_f32s(0.0);
-                for (patch, _) in hot.iter().enumerate().filter(|(_, hot)| **hot) {
+                for (patch, hot) in hot.iter().enumerate() {
+                    if !hot {
+                        continue;
+                    }
                     let added = simd.mul_f32s(load(simd, &cells.lit[texels.clone()], patch), load(simd, gains_of_row, patch));
                     of_row = simd.add_f32s(of_row, added);
-                    for (channel, tint) in channels.iter_mut().zip(tint) {
+                    for (channel, tint) in channels.iter_mut().zip(&tint) {
                         let row = &mut channel[texels.clone()];
-                        let radiance = simd.add_f32s(load(simd, row, patch), simd.mul_f32s(added, tint));
+                        let radiance = simd.add_f32s(load(simd, row, patch), simd.mul_f32s(added, *tint));
                         store(simd, row, patch, radiance);
                     }
                 }

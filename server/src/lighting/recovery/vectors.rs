@@ -1,4 +1,5 @@
-//! Rows of floats in whatever vectors there are. All of it is inlined into work that `pulp` dispatches.
+//! Rows of floats in whatever vectors there are. All of it is inlined into work that `pulp` dispatches: what is not, as closures often are
+//! not, knows nothing of the vectors and calls a function for each operation.
 
 use pulp::Simd;
 
@@ -34,21 +35,31 @@ pub(super) fn store<S: Simd>(simd: S, row: &mut [f32], vector: usize, values: S:
 /// Sums of `values` over every `side` of its elements.
 #[inline(always)]
 pub(super) fn add_sides(values: &[f32], side: usize, sums: &mut [f32]) {
-    match side {
-        1 => sums.iter_mut().zip(values).for_each(|(sum, value)| *sum = *value),
-        2 => sums.iter_mut().zip(values.as_chunks().0).for_each(|(sum, [a, b])| *sum = a + b),
-        4 => sums.iter_mut().zip(values.as_chunks().0).for_each(|(sum, [a, b, c, d])| *sum = (a + b) + (c + d)),
-        side => sums.iter_mut().zip(values.chunks_exact(side)).for_each(|(sum, values)| *sum = values.iter().sum()),
+    if side == 4 {
+        for (sum, [a, b, c, d]) in sums.iter_mut().zip(values.as_chunks().0) {
+            *sum = (a + b) + (c + d);
+        }
+        return;
+    }
+    for (sum, values) in sums.iter_mut().zip(values.chunks_exact(side)) {
+        *sum = 0.0;
+        for value in values {
+            *sum += value;
+        }
     }
 }
 
 /// Every element of `values`, `side` times.
 #[inline(always)]
 pub(super) fn repeat_sides(values: &[f32], side: usize, repeated: &mut [f32]) {
-    match side {
-        1 => repeated.iter_mut().zip(values).for_each(|(repeated, value)| *repeated = *value),
-        4 => repeated.as_chunks_mut().0.iter_mut().zip(values).for_each(|(repeated, value)| *repeated = [*value; 4]),
-        side => repeated.chunks_exact_mut(side).zip(values).for_each(|(repeated, value)| repeated.fill(*value)),
+    if side == 4 {
+        for (repeated, value) in repeated.as_chunks_mut().0.iter_mut().zip(values) {
+            *repeated = [*value; 4];
+        }
+        return;
+    }
+    for (repeated, value) in repeated.chunks_exact_mut(side).zip(values) {
+        repeated.fill(*value);
     }
 }
 
@@ -56,5 +67,9 @@ pub(super) fn repeat_sides(values: &[f32], side: usize, repeated: &mut [f32]) {
 #[inline(always)]
 pub(super) fn all_zero(values: &[f32]) -> bool {
     // Without a way out half way, so that many are looked at together.
-    values.iter().fold(0, |bits, value| bits | value.to_bits()) == 0
+    let mut bits = 0;
+    for value in values {
+        bits |= value.to_bits();
+    }
+    bits == 0
 }
