@@ -17,6 +17,7 @@ mod clipped;
 mod closed_forms;
 mod cuts;
 mod directional;
+mod elementary;
 #[cfg(test)]
 mod every_method;
 #[cfg(test)]

@@ -1,9 +1,12 @@
 //! Sums over the cells of a panorama: what is clipped, and what the rest shows.
 
 use glam::Vec3;
-use mr360_shaders::colour::{CLIPPED, LUMA, clipped_degree, luminance};
+use mr360_shaders::colour::{CLIPPED, LUMA};
+use pulp::{Arch, Simd, WithSimd};
 
+use super::vectors::{add_sides, load, store, vectors};
 use crate::lighting::panorama::Panorama;
+use crate::lighting::radiance::Planes;
 use crate::lighting::sampling::Grid;
 
 /// Most columns of cells: 2.8° at the horizon.
@@ -23,10 +26,14 @@ pub(super) struct Cells {
     pub(super) solid_angle_sr: Vec<f32>,
     /// Of each row's middle.
     pub(super) latitude: Vec<f32>,
-    /// Of the cells' middles.
-    pub(super) directions: Vec<Vec3>,
+    /// Of the cells' middles, coordinate by coordinate.
+    pub(super) directions: Planes,
     /// Degree to which each texel is clipped in all channels.
     pub(super) clipped: Vec<f32>,
+    /// Luminance of each texel's clipped channels, as shown; left from earlier frames outside of patches that hold any.
+    pub(super) lit: Vec<f32>,
+    /// Whether any channel is clipped in a patch: one vector of texels wide and one cell high, rows after each other.
+    pub(super) hot: Vec<bool>,
     /// Share of the cell that is clipped in all channels.
     pub(super) clipped_share: Vec<f32>,
     /// Share of the cell that no channel is clipped in.
@@ -34,7 +41,7 @@ pub(super) struct Cells {
     /// Mean over the cell of the luminance of what is not clipped.
     pub(super) shown: Vec<f32>,
     /// Energy of what is not clipped, radiance·sr.
-    pub(super) open_rgb: [Vec<f32>; 3],
+    pub(super) open_rgb: Planes,
     /// Luminous flux of clipped channels as shown, luminance·sr.
     pub(super) clipped_flux: Vec<f32>,
     /// Solid angle with any clipped channel.
@@ -44,14 +51,18 @@ pub(super) struct Cells {
     /// Luminous irradiance on level ground, and that of a ground as bright as this one if it were white.
     sky: f64,
     ground: f64,
-    luminance: Vec<f32>,
+    sums: Sums,
+    arch: Arch,
 }
 
-/// What one row of texels adds to its cells.
-struct Row<'a> {
-    texels: [&'a [f32]; 3],
-    solid_angle_sr: f32,
-    side: usize,
+/// Sums over the texels of one row of cells, one a column of texels.
+struct Sums {
+    open_rgb: Planes,
+    brightest: Vec<f32>,
+    /// Solid angle that is clipped in all channels, and in any.
+    all: Vec<f32>,
+    any: Vec<f32>,
+    clipped_flux: Vec<f32>,
 }
 
 impl Cells {
@@ -66,14 +77,18 @@ impl Cells {
             mr360_shaders::equirect::direction_from_uv(uv)
         };
         let field = || vec![0.0; columns * rows];
+        let sums = || vec![0.0; width];
         Self {
             columns,
             rows,
             side,
             solid_angle_sr: (0..rows).map(solid_angle_sr).collect(),
             latitude,
-            directions: (0..columns * rows).map(direction).collect(),
+            directions: std::array::from_fn(|axis| (0..columns * rows).map(|cell| direction(cell)[axis]).collect()),
             clipped: vec![0.0; width * height],
+            lit: vec![0.0; width * height],
+            // As many as there are patches of a single texel: how wide vectors are is not known here.
+            hot: vec![false; width * rows],
             clipped_share: field(),
             open_share: field(),
             shown: field(),
@@ -83,7 +98,8 @@ impl Cells {
             flux: 0.0,
             sky: 0.0,
             ground: 0.0,
-            luminance: vec![0.0; width],
+            sums: Sums { open_rgb: std::array::from_fn(|_| sums()), brightest: sums(), all: sums(), any: sums(), clipped_flux: sums() },
+            arch: Arch::new(),
         }
     }
 
@@ -94,88 +110,176 @@ impl Cells {
 
     /// Sums up a panorama of the size that the cells were made for.
     pub(super) fn take(&mut self, panorama: &Panorama) {
-        for field in [&mut self.clipped_share, &mut self.shown, &mut self.clipped_flux].into_iter().chain(&mut self.open_rgb) {
-            field.fill(0.0);
-        }
-        self.open_share.fill(1.0);
-        (self.clipped_sr, self.flux, self.sky) = (0.0, 0.0, 0.0);
+        self.arch.dispatch(Take { cells: self, panorama });
+    }
+}
+
+/// [`Cells::take`] for whatever vectors there are.
+struct Take<'a> {
+    cells: &'a mut Cells,
+    panorama: &'a Panorama,
+}
+
+impl WithSimd for Take<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(mut self, simd: S) {
+        let side = self.cells.side;
+        let geometry = &self.panorama.geometry;
+        let width = self.panorama.size.width as usize;
+        (self.cells.clipped_sr, self.cells.flux, self.cells.sky) = (0.0, 0.0, 0.0);
         let (mut ground, mut ground_weight) = (0.0, 0.0);
-        let width = panorama.size.width as usize;
-        for row in 0..panorama.size.height as usize {
-            let sine = panorama.geometry.sin_cos_latitude[row].0;
-            let solid_angle_sr = panorama.geometry.solid_angle_sr[row];
-            let texels = [0, 1, 2].map(|channel| panorama.row(channel, row));
-            let flux = f64::from(self.take_row(row, &Row { texels, solid_angle_sr, side: self.side })) * f64::from(solid_angle_sr);
-            self.flux += flux;
-            let weight = f64::from(sine.abs());
-            if sine > 0.0 {
-                self.sky += weight * flux;
-            } else if sine < -GROUND_SINE {
-                ground += weight * flux;
-                ground_weight += weight * f64::from(solid_angle_sr) * width as f64;
+        for row in 0..self.cells.rows {
+            for texel_row in row * side..(row + 1) * side {
+                let (sine, solid_angle_sr) = (geometry.sin_cos_latitude[texel_row].0, geometry.solid_angle_sr[texel_row]);
+                let first = texel_row == row * side;
+                let flux = f64::from(LUMA.dot(self.add_texels(simd, texel_row, first)) * solid_angle_sr);
+                self.cells.flux += flux;
+                let weight = f64::from(sine.abs());
+                if sine > 0.0 {
+                    self.cells.sky += weight * flux;
+                } else if sine < -GROUND_SINE {
+                    ground += weight * flux;
+                    ground_weight += weight * f64::from(solid_angle_sr) * width as f64;
+                }
             }
+            let any = self.correct_clipped(simd, row);
+            self.finish(row, any);
         }
-        self.ground = if ground_weight > 0.0 { std::f64::consts::PI * ground / ground_weight } else { 0.0 };
-        self.finish();
+        self.cells.ground = if ground_weight > 0.0 { std::f64::consts::PI * ground / ground_weight } else { 0.0 };
+    }
+}
+
+impl Take<'_> {
+    /// Adds a row of texels to the sums as if nothing were clipped, or begins them with it; returns the sum of its radiance.
+    #[inline(always)]
+    fn add_texels<S: Simd>(&mut self, simd: S, texel_row: usize, first: bool) -> Vec3 {
+        let Sums { open_rgb, brightest, .. } = &mut self.cells.sums;
+        let solid_angle_sr = simd.splat_f32s(self.panorama.geometry.solid_angle_sr[texel_row]);
+        let texels = [self.panorama.row(0, texel_row), self.panorama.row(1, texel_row), self.panorama.row(2, texel_row)];
+        let mut of_row = [simd.splat_f32s(0.0); 3];
+        for vector in 0..vectors::<S>(brightest.len()) {
+            let radiance @ [red, green, blue] =
+                [load(simd, texels[0], vector), load(simd, texels[1], vector), load(simd, texels[2], vector)];
+            let mut most = simd.max_f32s(simd.max_f32s(red, green), blue);
+            for channel in 0..3 {
+                of_row[channel] = simd.add_f32s(of_row[channel], radiance[channel]);
+                let mut energy = simd.mul_f32s(radiance[channel], solid_angle_sr);
+                if !first {
+                    energy = simd.add_f32s(energy, load(simd, &open_rgb[channel], vector));
+                }
+                store(simd, &mut open_rgb[channel], vector, energy);
+            }
+            if !first {
+                most = simd.max_f32s(most, load(simd, brightest, vector));
+            }
+            store(simd, brightest, vector, most);
+        }
+        let [red, green, blue] = of_row;
+        Vec3::new(simd.reduce_sum_f32s(red), simd.reduce_sum_f32s(green), simd.reduce_sum_f32s(blue))
     }
 
-    /// Adds a row to its cells and returns the sum of its luminance.
-    fn take_row(&mut self, row: usize, from: &Row<'_>) -> f32 {
-        let [red, green, blue] = from.texels;
-        let width = red.len();
-        let mut brightest = 0.0f32;
-        for (((y, r), g), b) in self.luminance.iter_mut().zip(red).zip(green).zip(blue) {
-            *y = LUMA.x * r + LUMA.y * g + LUMA.z * b;
-            brightest = brightest.max(*r).max(*g).max(*b);
-        }
-        self.clipped[row * width..(row + 1) * width].fill(0.0);
-        let first = row / from.side * self.columns;
-        let cells = first..first + self.columns;
-        for (shown, y) in self.shown[cells.clone()].iter_mut().zip(self.luminance.chunks_exact(from.side)) {
-            *shown += y.iter().sum::<f32>() * from.solid_angle_sr;
-        }
-        for (open, texels) in self.open_rgb.iter_mut().zip(from.texels) {
-            for (open, values) in open[cells.clone()].iter_mut().zip(texels.chunks_exact(from.side)) {
-                *open += values.iter().sum::<f32>() * from.solid_angle_sr;
+    /// Corrects the sums over a row of cells for its clipped texels; returns whether there are any.
+    #[inline(always)]
+    fn correct_clipped<S: Simd>(&mut self, simd: S, row: usize) -> bool {
+        let width = self.cells.sums.brightest.len();
+        let side = self.cells.side;
+        let mut found = false;
+        for patch in 0..vectors::<S>(width) {
+            let hot = simd.reduce_max_f32s(load(simd, &self.cells.sums.brightest, patch)) > CLIPPED.0;
+            let was_hot = std::mem::replace(&mut self.cells.hot[row * width + patch], hot);
+            if hot && !found {
+                found = true;
+                let Sums { all, any, clipped_flux, .. } = &mut self.cells.sums;
+                [all, any, clipped_flux].into_iter().for_each(|sums| sums.fill(0.0));
+            }
+            if hot {
+                self.correct_patch(simd, row, patch);
+            } else if was_hot {
+                for texel_row in row * side..(row + 1) * side {
+                    store(simd, &mut self.cells.clipped[texel_row * width..(texel_row + 1) * width], patch, simd.splat_f32s(0.0));
+                }
             }
         }
-        if brightest > CLIPPED.0 {
-            self.take_clipped(row, first, from);
-        }
-        self.luminance.iter().sum()
+        found
     }
 
-    /// Corrects a row's cells for its clipped texels.
-    fn take_clipped(&mut self, row: usize, first: usize, from: &Row<'_>) {
-        let [red, green, blue] = from.texels;
-        let omega = from.solid_angle_sr;
-        for (column, ((r, g), b)) in red.iter().zip(green).zip(blue).enumerate() {
-            let radiance = Vec3::new(*r, *g, *b);
-            if radiance.max_element() <= CLIPPED.0 {
-                continue;
+    /// Corrects the sums over one patch. Nothing but plain loops: a closure that is not inlined knows no vectors, and calls every operation.
+    #[inline(always)]
+    fn correct_patch<S: Simd>(&mut self, simd: S, row: usize, patch: usize) {
+        let Cells { side, clipped, lit, sums, .. } = &mut *self.cells;
+        let width = sums.brightest.len();
+        let zero = simd.splat_f32s(0.0);
+        let (mut all_sr, mut any_sr, mut flux) = (zero, zero, zero);
+        let mut open = [load(simd, &sums.open_rgb[0], patch), load(simd, &sums.open_rgb[1], patch), load(simd, &sums.open_rgb[2], patch)];
+        for texel_row in row * *side..(row + 1) * *side {
+            let texels = texel_row * width..(texel_row + 1) * width;
+            let solid_angle_sr = simd.splat_f32s(self.panorama.geometry.solid_angle_sr[texel_row]);
+            let (mut radiance, mut degree, mut luminance) = ([zero; 3], [zero; 3], zero);
+            for channel in 0..3 {
+                radiance[channel] = load(simd, &self.panorama.channels[channel][texels.clone()], patch);
+                degree[channel] = clipped_degree(simd, radiance[channel]);
+                let shown = simd.mul_f32s(radiance[channel], degree[channel]);
+                luminance = simd.add_f32s(luminance, simd.mul_f32s(shown, simd.splat_f32s(LUMA.to_array()[channel])));
             }
-            let degree = clipped_degree(radiance);
-            let (any, all) = (degree.max_element(), degree.min_element());
-            let cell = first + column / from.side;
-            self.clipped[row * red.len() + column] = all;
-            self.clipped_share[cell] += omega * all;
-            self.open_share[cell] -= omega * any / self.solid_angle_sr[cell / self.columns];
-            self.shown[cell] -= omega * luminance(radiance) * any;
-            self.clipped_flux[cell] += omega * luminance(radiance * degree);
-            self.clipped_sr += f64::from(omega * any);
-            for (open, value) in self.open_rgb.iter_mut().zip(radiance.to_array()) {
-                open[cell] -= omega * value * any;
+            let all = simd.min_f32s(simd.min_f32s(degree[0], degree[1]), degree[2]);
+            let any = simd.mul_f32s(simd.max_f32s(simd.max_f32s(degree[0], degree[1]), degree[2]), solid_angle_sr);
+            for channel in 0..3 {
+                open[channel] = simd.sub_f32s(open[channel], simd.mul_f32s(radiance[channel], any));
             }
+            store(simd, &mut clipped[texels.clone()], patch, all);
+            store(simd, &mut lit[texels], patch, luminance);
+            all_sr = simd.add_f32s(all_sr, simd.mul_f32s(all, solid_angle_sr));
+            any_sr = simd.add_f32s(any_sr, any);
+            flux = simd.add_f32s(flux, simd.mul_f32s(luminance, solid_angle_sr));
         }
+        for channel in 0..3 {
+            store(simd, &mut sums.open_rgb[channel], patch, open[channel]);
+        }
+        store(simd, &mut sums.all, patch, all_sr);
+        store(simd, &mut sums.any, patch, any_sr);
+        store(simd, &mut sums.clipped_flux, patch, flux);
     }
 
-    /// From sums to shares and means.
-    fn finish(&mut self) {
-        for (row, solid_angle_sr) in self.solid_angle_sr.iter().enumerate() {
-            let cells = row * self.columns..(row + 1) * self.columns;
-            for field in [&mut self.clipped_share, &mut self.shown] {
-                field[cells.clone()].iter_mut().for_each(|sum| *sum /= solid_angle_sr);
-            }
+    /// From the sums over a row of cells to its shares and means; `any` says whether any of it is clipped.
+    #[inline(always)]
+    fn finish(&mut self, row: usize, any: bool) {
+        let share = 1.0 / self.cells.solid_angle_sr[row];
+        let Cells { columns, side, clipped_share, open_share, shown, open_rgb, clipped_flux, sums, clipped_sr, .. } = &mut *self.cells;
+        let cells = row * *columns..(row + 1) * *columns;
+        let [red, green, blue] = open_rgb;
+        let (red, green, blue) = (&mut red[cells.clone()], &mut green[cells.clone()], &mut blue[cells.clone()]);
+        let (clipped_share, open_share) = (&mut clipped_share[cells.clone()], &mut open_share[cells.clone()]);
+        let (shown, clipped_flux) = (&mut shown[cells.clone()], &mut clipped_flux[cells]);
+        for (open, sums) in [&mut *red, &mut *green, &mut *blue].into_iter().zip(&sums.open_rgb) {
+            add_sides(sums, *side, open);
+        }
+        for (((shown, r), g), b) in shown.iter_mut().zip(red).zip(green).zip(blue) {
+            *shown = share * (LUMA.x * *r + LUMA.y * *g + LUMA.z * *b);
+        }
+        if !any {
+            clipped_share.fill(0.0);
+            open_share.fill(1.0);
+            clipped_flux.fill(0.0);
+            return;
+        }
+        add_sides(&sums.all, *side, clipped_share);
+        add_sides(&sums.any, *side, open_share);
+        add_sides(&sums.clipped_flux, *side, clipped_flux);
+        for (clipped, open) in clipped_share.iter_mut().zip(open_share) {
+            *clipped_sr += f64::from(*open);
+            *clipped *= share;
+            *open = 1.0 - share * *open;
         }
     }
+}
+
+/// [`mr360_shaders::colour::clipped_degree`] of several texels of one channel.
+#[inline(always)]
+fn clipped_degree<S: Simd>(simd: S, linear: S::f32s) -> S::f32s {
+    let (first, last) = CLIPPED;
+    let t = simd.mul_f32s(simd.sub_f32s(linear, simd.splat_f32s(first)), simd.splat_f32s(1.0 / (last - first)));
+    let t = simd.min_f32s(simd.max_f32s(t, simd.splat_f32s(0.0)), simd.splat_f32s(1.0));
+    simd.mul_f32s(simd.mul_f32s(t, t), simd.sub_f32s(simd.splat_f32s(3.0), simd.add_f32s(t, t)))
 }

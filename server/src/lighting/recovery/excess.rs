@@ -8,6 +8,8 @@
 //!
 //! What no frame shows it cannot say: a small sun in a clear evening sky is taken for the glow of one that has set, three times too weak.
 
+use crate::lighting::elementary::{ln, tanh};
+
 /// What is known of a clipped place.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Surroundings {
@@ -48,17 +50,29 @@ const LEAST_OPEN: f32 = 1e-3;
 pub(super) const LEAST_RIM: f64 = 1e-5;
 
 /// Brightness of what is not clipped around a place, as a logarithm; `shown` and `open` are its luminance and its share, blurred.
+#[inline(always)]
 pub(super) fn brightness_ln(shown: f32, open: f32) -> f32 {
-    (shown.max(0.0) / (open.max(0.0) + LEAST_OPEN) + LEAST_BRIGHTNESS).ln()
+    ln(shown.max(0.0) / (open.max(0.0) + LEAST_OPEN) + LEAST_BRIGHTNESS)
 }
 
 /// Natural logarithm of hidden over shown luminance.
+#[inline(always)]
 pub(super) fn excess_ln(place: &Surroundings) -> f32 {
     let given = [place.size, place.height, place.ground_ln, place.brightness_ln];
-    let x: [f32; 4] = std::array::from_fn(|i| ((given[i] - MEAN[i]) / DEVIATION[i]).clamp(-FARTHEST, FARTHEST));
-    let dot = |weights: &[f32; 4]| weights.iter().zip(x).map(|(weight, x)| weight * x).sum::<f32>();
-    let units = UNITS.iter().map(|(weights, offset, weight)| weight * (dot(weights) + offset).tanh());
-    (OFFSET + dot(&LINEAR) + units.sum::<f32>()).min(mr360_protocol::light::MAX_GAIN_LN)
+    let mut sum = OFFSET;
+    let mut units = [0.0; UNITS.len()];
+    // Plain loops, so that those over many places are compiled for vectors.
+    for i in 0..given.len() {
+        let x = ((given[i] - MEAN[i]) * (1.0 / DEVIATION[i])).clamp(-FARTHEST, FARTHEST);
+        sum += LINEAR[i] * x;
+        for unit in 0..UNITS.len() {
+            units[unit] += UNITS[unit].0[i] * x;
+        }
+    }
+    for unit in 0..UNITS.len() {
+        sum += UNITS[unit].2 * tanh(units[unit] + UNITS[unit].1);
+    }
+    sum.min(mr360_protocol::light::MAX_GAIN_LN)
 }
 
 /// Standard deviation of the logarithm of the hidden flux.

@@ -9,8 +9,10 @@
 //!
 //! How sure all this is, is said with it: [`Recovered::sigma`].
 
+use glam::Vec3;
 use mr360_protocol::light::{MAX_TINT_LN, Recovery};
-use mr360_shaders::colour::{clipped_degree, luminance, recovery_tint};
+use mr360_shaders::colour::recovery_tint;
+use pulp::{Arch, Simd, WithSimd};
 
 use super::panorama::Panorama;
 use super::sampling::Grid;
@@ -19,12 +21,15 @@ mod blur;
 mod cells;
 mod curve;
 mod excess;
+mod places;
 #[cfg(test)]
 mod tests;
+mod vectors;
 
 use blur::Blur;
 use cells::Cells;
-use excess::Surroundings;
+use places::{Blurred, Places};
+use vectors::{load, repeat_sides, store, vectors};
 
 /// Half widths of the blurs, degrees: the rim of a clipped region; its size; its surroundings.
 const RIM_DEG: f32 = 2.8;
@@ -52,7 +57,12 @@ pub(super) struct Recoverer {
     rim: Vec<f32>,
     shown: Vec<f32>,
     open: Vec<f32>,
-    excess_ln: Vec<f32>,
+    places: Places,
+    /// What the curve says at each cell that holds anything clipped; left from earlier frames elsewhere.
+    gains: Vec<f32>,
+    /// The same at each column of texels, along one row of cells.
+    gains_of_row: Vec<f32>,
+    arch: Arch,
 }
 
 impl Recoverer {
@@ -67,7 +77,10 @@ impl Recoverer {
             rim: field(),
             shown: field(),
             open: field(),
-            excess_ln: field(),
+            places: Places::new(count),
+            gains: field(),
+            gains_of_row: vec![0.0; size.width as usize],
+            arch: Arch::new(),
             cells,
         }
     }
@@ -79,9 +92,8 @@ impl Recoverer {
             return None;
         }
         self.describe();
-        let cells = &self.cells;
-        let tint_ln = self.tint_ln();
-        let (gain_ln, slope) = curve::through(&self.excess_ln, &cells.clipped_flux, &cells.directions);
+        let tint_ln = self.arch.dispatch(RimSums { recoverer: self }).tint_ln();
+        let (gain_ln, slope) = curve::through(self.arch, &mut self.places);
         let curve = Recovery { gain_ln, slope, tint_ln };
         let hidden = self.brighten(panorama, &curve);
         let hidden_share = (hidden / (hidden + self.cells.flux)) as f32;
@@ -101,47 +113,93 @@ impl Recoverer {
         self.blur.run(&cells.clipped_share, RIM_DEG, &mut self.rim);
         self.blur.run(&cells.shown, SURROUNDINGS_DEG, &mut self.shown);
         self.blur.run(&cells.open_share, SURROUNDINGS_DEG, &mut self.open);
-        let ground_ln = cells.ground_ln();
-        for (cell, excess_ln) in self.excess_ln.iter_mut().enumerate() {
-            if cells.clipped_flux[cell] > 0.0 {
-                let surroundings = Surroundings {
-                    size: self.size[cell],
-                    height: cells.directions[cell].y,
-                    ground_ln,
-                    brightness_ln: excess::brightness_ln(self.shown[cell], self.open[cell]),
-                };
-                *excess_ln = excess::excess_ln(&surroundings);
-            }
-        }
-    }
-
-    /// Colour of what is hidden: that of the rim of the clipped regions, where lens and sensor spread their light.
-    fn tint_ln(&self) -> [f32; 2] {
-        let sum = |channel: usize| {
-            let weighted = self.cells.open_rgb[channel].iter().zip(&self.rim).map(|(energy, rim)| f64::from(energy * rim));
-            (weighted.sum::<f64>() + excess::LEAST_RIM) as f32
-        };
-        let [red, green, blue] = [0, 1, 2].map(sum);
-        [((red / green).ln(), 1.0), ((blue / green).ln(), BLUE_SHARE)].map(|(ln, share)| share * ln.clamp(-MAX_TINT_LN, MAX_TINT_LN))
+        self.places.take(self.arch, cells, &Blurred { size: &self.size, shown: &self.shown, open: &self.open });
     }
 
     /// Adds what the curve says; returns the luminous flux added. The curve is read once a cell: over its 2.8° the error of that averages out.
-    fn brighten(&self, panorama: &mut Panorama, curve: &Recovery) -> f64 {
-        let tint = recovery_tint(curve);
-        let cells = &self.cells;
-        let width = panorama.size.width as usize;
-        let mut hidden = 0.0;
-        for (cell, _) in cells.clipped_flux.iter().enumerate().filter(|(_, flux)| **flux > 0.0) {
-            let gain = curve.gain(cells.directions[cell]);
-            let (row, column) = (cell / cells.columns * cells.side, cell % cells.columns * cells.side);
-            for row in row..row + cells.side {
-                let solid_angle_sr = f64::from(panorama.geometry.solid_angle_sr[row]);
-                for texel in row * width + column..row * width + column + cells.side {
-                    let radiance = panorama.radiance(texel);
-                    let added = luminance(radiance * clipped_degree(radiance)) * gain;
-                    hidden += f64::from(added) * solid_angle_sr;
-                    panorama.set_radiance(texel, radiance + added * tint);
+    fn brighten(&mut self, panorama: &mut Panorama, curve: &Recovery) -> f64 {
+        curve::gains(self.arch, &mut self.places, curve);
+        for (cell, gain) in self.places.cells.iter().zip(&self.places.exponentials) {
+            self.gains[*cell as usize] = *gain;
+        }
+        self.arch.dispatch(Brighten { recoverer: self, panorama, tint: recovery_tint(curve) })
+    }
+}
+
+/// Energy about the clipped regions, where lens and sensor spread their light: its colour is that of what is hidden.
+struct Rim([f64; 3]);
+
+impl Rim {
+    fn tint_ln(&self) -> [f32; 2] {
+        let [red, green, blue] = self.0.map(|energy| (energy + excess::LEAST_RIM) as f32);
+        [((red / green).ln(), 1.0), ((blue / green).ln(), BLUE_SHARE)].map(|(ln, share)| share * ln.clamp(-MAX_TINT_LN, MAX_TINT_LN))
+    }
+}
+
+/// Sums up a [`Rim`].
+struct RimSums<'a> {
+    recoverer: &'a Recoverer,
+}
+
+impl WithSimd for RimSums<'_> {
+    type Output = Rim;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> Rim {
+        let Recoverer { cells, rim, .. } = self.recoverer;
+        let mut energy = [0.0; 3];
+        for (energy, open) in energy.iter_mut().zip(&cells.open_rgb) {
+            for (open, rim) in open.chunks_exact(cells.columns).zip(rim.chunks_exact(cells.columns)) {
+                let mut sum = simd.splat_f32s(0.0);
+                for vector in 0..vectors::<S>(cells.columns) {
+                    sum = simd.add_f32s(sum, simd.mul_f32s(load(simd, open, vector), load(simd, rim, vector)));
                 }
+                *energy += f64::from(simd.reduce_sum_f32s(sum));
+            }
+        }
+        Rim(energy)
+    }
+}
+
+/// Adds the gains times what is clipped to a panorama.
+struct Brighten<'a> {
+    recoverer: &'a mut Recoverer,
+    panorama: &'a mut Panorama,
+    tint: Vec3,
+}
+
+impl WithSimd for Brighten<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> f64 {
+        let Recoverer { cells, gains, gains_of_row, .. } = self.recoverer;
+        let Panorama { channels, geometry, .. } = self.panorama;
+        let tint = [simd.splat_f32s(self.tint.x), simd.splat_f32s(self.tint.y), simd.splat_f32s(self.tint.z)];
+        let width = gains_of_row.len();
+        let mut hidden = 0.0;
+        for (row, gains) in gains.chunks_exact(cells.columns).enumerate() {
+            let hot = &cells.hot[row * width..][..vectors::<S>(width)];
+            if !hot.contains(&true) {
+                continue;
+            }
+            repeat_sides(gains, cells.side, gains_of_row);
+            for texel_row in row * cells.side..(row + 1) * cells.side {
+                let texels = texel_row * width..(texel_row + 1) * width;
+                let mut of_row = simd.splat_f32s(0.0);
+                for (patch, hot) in hot.iter().enumerate() {
+                    if !hot {
+                        continue;
+                    }
+                    let added = simd.mul_f32s(load(simd, &cells.lit[texels.clone()], patch), load(simd, gains_of_row, patch));
+                    of_row = simd.add_f32s(of_row, added);
+                    for (channel, tint) in channels.iter_mut().zip(&tint) {
+                        let row = &mut channel[texels.clone()];
+                        let radiance = simd.add_f32s(load(simd, row, patch), simd.mul_f32s(added, *tint));
+                        store(simd, row, patch, radiance);
+                    }
+                }
+                hidden += f64::from(simd.reduce_sum_f32s(of_row) * geometry.solid_angle_sr[texel_row]);
             }
         }
         hidden

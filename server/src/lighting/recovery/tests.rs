@@ -2,7 +2,7 @@ use std::f32::consts::PI;
 
 use glam::Vec3;
 use mr360_protocol::light::Lift;
-use mr360_shaders::colour::recovered;
+use mr360_shaders::colour::{luminance, recovered};
 
 use super::*;
 
@@ -45,7 +45,7 @@ fn the_regression_agrees_with_its_reference() {
     // Worked out by NumPy in double precision from the weights as they were fitted.
     for (given, expected) in REFERENCE {
         let [size, height, ground_ln, brightness_ln] = given;
-        let got = excess::excess_ln(&Surroundings { size, height, ground_ln, brightness_ln });
+        let got = excess::excess_ln(&excess::Surroundings { size, height, ground_ln, brightness_ln });
         assert!((got - expected).abs() < 1e-4, "{given:?}: {got} against {expected}");
     }
 }
@@ -87,8 +87,8 @@ fn a_single_light_gets_what_its_surroundings_ask_for() {
     let mut panorama = panorama(scene(to_light, 6.0, 0.25));
     let mut recoverer = Recoverer::new(SIZE);
     let found = recoverer.recover(&mut panorama).unwrap();
-    let clipped: Vec<usize> = (0..recoverer.cells.clipped_flux.len()).filter(|cell| recoverer.cells.clipped_flux[*cell] > 0.0).collect();
-    let asked: f64 = clipped.iter().map(|c| f64::from(recoverer.cells.clipped_flux[*c] * recoverer.excess_ln[*c].exp())).sum();
+    let clipped = recoverer.places.clipped_flux.iter().zip(&recoverer.places.excess_ln);
+    let asked: f64 = clipped.map(|(flux, ln)| f64::from(flux * ln.exp())).sum();
     let given = f64::from(found.hidden_share) * flux(&panorama);
     assert!((given / asked - 1.0).abs() < 5e-3, "{given} {asked}");
 }
