@@ -59,7 +59,8 @@ fn no_method_makes_light_jump_where_the_scene_is_steady() {
     for (sequence, frames, most) in [
         (sequences::still(), 30, 0.01),
         (sequences::overcast(), 30, 0.01),
-        (sequences::even_overcast(), 30, 0.01),
+        // Grain of four codes puts one texel in forty on the ramp between shown and clipped.
+        (sequences::even_overcast(), 30, 0.02),
         (sequences::faulty_frame(), 60, 0.02),
         (sequences::people(), 45, 0.02),
         (sequences::shake(), 45, 0.02),

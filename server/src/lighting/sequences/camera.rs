@@ -24,7 +24,7 @@ pub fn exposure_ramp(linear: bool) -> Sequence {
     if linear { sequence.linear() } else { sequence }
 }
 
-/// A clipped lamp, twelve times white, whose exposure falls by 3 EV: for two seconds it is seen as it is, and then clipped again. The exposure
+/// A clipped lamp, six times white, whose exposure falls by 3 EV: for two seconds it is seen as it is, and then clipped again. The exposure
 /// moves at once, or by 1.5 EV a second.
 #[must_use]
 pub fn exposure_seen(at_once: bool) -> Sequence {
@@ -34,7 +34,7 @@ pub fn exposure_seen(at_once: bool) -> Sequence {
         } else {
             ((0.5 * (time - 2.0)).clamp(0.0, 1.0), (0.5 * (time - 6.0)).clamp(0.0, 1.0))
         };
-        let lamp = Disc { radiance: 1.5 * LAMP, ..sun(40.0, 50.0) };
+        let lamp = Disc { radiance: 0.75 * LAMP, radius: 1.5 * sun(40.0, 50.0).radius, ..sun(40.0, 50.0) };
         Scene { sky: 2.5 * SKY, ..Scene::new(vec![lamp]) }.exposed(Vec3::splat(3.0 * (risen - fallen)))
     };
     if at_once {
