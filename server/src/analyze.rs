@@ -169,7 +169,7 @@ impl Serialize for Line<'_> {
                 solid_angle_sr: light.solid_angle_sr,
             })
             .collect();
-        let mut object = serializer.serialize_map(Some(6))?;
+        let mut object = serializer.serialize_map(None)?;
         object.serialize_entry("pts_secs", &(self.pts_us as f64 / 1e6))?;
         object.serialize_entry("method", self.method)?;
         object.serialize_entry("sh", &sh)?;
@@ -177,6 +177,9 @@ impl Serialize for Line<'_> {
         object.serialize_entry("elapsed_ms", &ElapsedMs(self.total, self.steps))?;
         // Beyond the contract: without it reflections could not be lifted as the lights were.
         object.serialize_entry("lift", &self.estimate.lift)?;
+        if let Some(hidden) = &self.estimate.hidden {
+            object.serialize_entry("hidden", hidden)?;
+        }
         object.end()
     }
 }

@@ -1,8 +1,8 @@
 //! The product's own method: what stands out of the upper hemisphere becomes at most [`MOST_LIGHTS`] lights, all
 //! else SH.
 //!
-//! Differences from the paper's method: clipped light is recovered from the ground it falls on, display-linear radiance
-//! instead of the inverse tone map's, statistics weighted by solid angle, a threshold that cannot pass the brightest texel,
+//! Differences from the paper's method: display-linear radiance instead of the inverse tone map's, clipped light recovered from what surrounds it
+//! ([`super::recovery`]) and its regions told apart ([`super::clipped`]), statistics weighted by solid angle, a threshold that cannot pass the brightest texel,
 //! regions that are whole across the seam and the zenith, directions averaged as vectors, lights only where they matter to
 //! the frame, and lights that are followed over time ([`super::track`]): what a frame shows is an observation, what is sent
 //! keeps its identity, moves and fades.
@@ -20,7 +20,7 @@ use super::regions::{Regions, Topology, most_regions};
 use super::sampling::Grid;
 use super::series::Series;
 use super::track::{Bounds, Coarse, MOST_OBSERVATIONS, Observation, Tracker, View};
-use super::{Estimate, LightError, LightMethod, StepTimes};
+use super::{Estimate, Hidden, LightError, LightMethod, StepTimes};
 use crate::frame::Frame;
 
 /// Working panorama.
@@ -200,6 +200,7 @@ impl LightMethod for Directional {
             self.tracker.track(&view, &mut self.estimate);
         });
         self.estimate.lift = recovered.map_or(Lift::Linear, |recovered| Lift::Recovered(recovered.curve));
+        self.estimate.hidden = recovered.map(|recovered| Hidden { share: recovered.hidden_share, sigma: recovered.sigma });
         self.estimate.mended = self.panorama.mended;
         Ok(&self.estimate)
     }

@@ -64,8 +64,19 @@ pub struct Estimate {
     pub sh: Vec<Vec3>,
     /// Strongest first; `id` is the rank in this frame, or stays with the light where the method follows it.
     pub lights: Vec<DirectionalLight>,
+    /// What the method made up for clipping; none where nothing was clipped or the method recovers nothing.
+    pub hidden: Option<Hidden>,
     /// Source values that were not finite, negative or too large to be light and were mended.
     pub mended: u64,
+}
+
+/// Light that clipping took and the method estimated.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct Hidden {
+    /// Its share of the luminous flux of the whole frame, in [0, 1).
+    pub share: f32,
+    /// Standard deviation of the natural logarithm of its flux.
+    pub sigma: f32,
 }
 
 impl Estimate {
@@ -81,7 +92,7 @@ impl Estimate {
     fn take_over(&mut self, panorama: &Panorama, sh: &[Vec3]) {
         self.sh.clear();
         self.sh.extend_from_slice(sh);
-        self.lift = panorama.lift();
+        (self.lift, self.hidden) = (panorama.lift(), None);
         self.mended = panorama.mended;
     }
 }
