@@ -7,6 +7,9 @@ use super::panorama::{Geometry, Panorama};
 use super::radiance::Planes;
 use super::sampling::Grid;
 
+/// Rows of texels that are added in one go; the sides of squares are powers of two.
+const AT_ONCE: usize = 4;
+
 /// Means over squares of texels, weighted by solid angle, and where the squares lie; refilled from frame to frame without allocating.
 pub(super) struct Cells {
     columns: usize,
@@ -69,15 +72,53 @@ impl WithSimd for Take<'_> {
         let Cells { columns, channels, side, shares, sums, .. } = self.cells;
         for (channel, cells) in channels.iter_mut().enumerate() {
             for (row, (cells, shares)) in cells.chunks_exact_mut(*columns).zip(shares.chunks_exact(*side)).enumerate() {
-                sums.fill(0.0);
-                for (texel_row, share) in (row * *side..).zip(shares) {
-                    let texels = self.panorama.row(channel, texel_row);
-                    sums.iter_mut().zip(texels).for_each(|(sum, radiance)| *sum += share * radiance);
+                for (i, shares) in shares.chunks(AT_ONCE).enumerate() {
+                    let first = row * *side + i * AT_ONCE;
+                    let texels = |k: usize| self.panorama.row(channel, first + k);
+                    match *shares {
+                        [a] => add_rows([texels(0)], [a], i > 0, sums),
+                        [a, b] => add_rows([texels(0), texels(1)], [a, b], i > 0, sums),
+                        [a, b, c, d] => add_rows([texels(0), texels(1), texels(2), texels(3)], [a, b, c, d], i > 0, sums),
+                        _ => {}
+                    }
                 }
-                match *side {
-                    4 => cells.iter_mut().zip(sums.as_chunks::<4>().0).for_each(|(cell, [a, b, c, d])| *cell = (a + b) + (c + d)),
-                    side => cells.iter_mut().zip(sums.chunks_exact(side)).for_each(|(cell, texels)| *cell = texels.iter().sum()),
-                }
+                gather(sums, *side, cells);
+            }
+        }
+    }
+}
+
+/// Adds rows of texels by their shares to what the sums hold, or to nothing.
+#[inline(always)]
+fn add_rows<const ROWS: usize>(rows: [&[f32]; ROWS], shares: [f32; ROWS], further: bool, sums: &mut [f32]) {
+    let texels = rows.iter().fold(sums.len(), |texels, row| texels.min(row.len()));
+    let rows = rows.map(|row| &row[..texels]);
+    for (texel, sum) in sums[..texels].iter_mut().enumerate() {
+        let mut weighted = if further { *sum } else { 0.0 };
+        for row in 0..ROWS {
+            weighted += shares[row] * rows[row][texel];
+        }
+        *sum = weighted;
+    }
+}
+
+/// Adds up every `side` of the sums.
+#[inline(always)]
+fn gather(sums: &[f32], side: usize, cells: &mut [f32]) {
+    match side {
+        4 => {
+            for (cell, [a, b, c, d]) in cells.iter_mut().zip(sums.as_chunks().0) {
+                *cell = (a + b) + (c + d);
+            }
+        }
+        8 => {
+            for (cell, [a, b, c, d, e, f, g, h]) in cells.iter_mut().zip(sums.as_chunks().0) {
+                *cell = ((a + b) + (c + d)) + ((e + f) + (g + h));
+            }
+        }
+        side => {
+            for (cell, texels) in cells.iter_mut().zip(sums.chunks_exact(side)) {
+                *cell = texels.iter().sum();
             }
         }
     }

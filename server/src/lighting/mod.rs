@@ -45,6 +45,7 @@ mod steps;
 mod test_skies;
 mod track;
 mod transpose;
+mod vectors;
 
 pub use directional::{Directional, MOST_LIGHTS};
 pub use iorns::Iorns;

@@ -161,13 +161,8 @@ impl RadianceTable {
     /// variance is left out: it is coded at half the resolution, and contrast is in the luma.
     pub(super) fn decode_means(&self, codes: &CodeRow<'_>, radiance: [&mut [f32]; 3]) {
         let Some(power) = self.power else { return };
-        let [red, green, blue] = radiance;
-        self.arch.dispatch(DecodeMeans { power, codes, radiance: [&mut *red, &mut *green, &mut *blue] });
-        if self.key.1.primaries != Primaries::Bt709 {
-            for ((r, g), b) in red.iter_mut().zip(green).zip(blue) {
-                [*r, *g, *b] = (self.primaries * Vec3::new(*r, *g, *b)).max(Vec3::ZERO).to_array();
-            }
-        }
+        let primaries = (self.key.1.primaries != Primaries::Bt709).then_some(self.primaries);
+        self.arch.dispatch(DecodeMeans { power, primaries, codes, radiance });
     }
 
     /// Turns codes into linear BT.709 radiance in place. Codes of a transfer other than linear are clamped to
@@ -222,6 +217,8 @@ impl RadianceTable {
 /// [`RadianceTable::decode_means`] for whatever vectors there are.
 struct DecodeMeans<'a> {
     power: PowerCurve,
+    /// To BT.709, where they are others.
+    primaries: Option<Mat3>,
     codes: &'a CodeRow<'a>,
     radiance: [&'a mut [f32]; 3],
 }
@@ -237,9 +234,27 @@ impl WithSimd for DecodeMeans<'_> {
 
 impl DecodeMeans<'_> {
     #[inline(always)]
-    fn run<const TOE: bool>(self) {
+    fn run<const TOE: bool>(mut self) {
+        self.decode::<TOE>();
+        if let Some(primaries) = self.primaries {
+            self.convert(primaries);
+        }
+    }
+
+    #[inline(always)]
+    fn convert(&mut self, primaries: Mat3) {
+        let [red, green, blue] = &mut self.radiance;
+        let [x, y, z] = [primaries.x_axis, primaries.y_axis, primaries.z_axis];
+        for ((r, g), b) in red.iter_mut().zip(green.iter_mut()).zip(blue.iter_mut()) {
+            let sums = [x.x * *r + y.x * *g + z.x * *b, x.y * *r + y.y * *g + z.y * *b, x.z * *r + y.z * *g + z.z * *b];
+            (*r, *g, *b) = (positive(sums[0]), positive(sums[1]), positive(sums[2]));
+        }
+    }
+
+    #[inline(always)]
+    fn decode<const TOE: bool>(&mut self) {
         let CodeRow { luma, luma_squares, luma_scale, tint } = self.codes;
-        let [red, green, blue] = self.radiance;
+        let [red, green, blue] = &mut self.radiance;
         let texels = [luma.len(), luma_squares.len(), tint[0].len(), tint[1].len(), tint[2].len(), red.len(), green.len(), blue.len()];
         let texels = texels.into_iter().fold(usize::MAX, usize::min);
         let (luma, luma_squares) = (&luma[..texels], &luma_squares[..texels]);
@@ -254,6 +269,11 @@ impl DecodeMeans<'_> {
             blue[i] = self.power.mean::<TOE>(luma + tint[2][i], variance);
         }
     }
+}
+
+#[inline(always)]
+fn positive(v: f32) -> f32 {
+    if v > 0.0 { v } else { 0.0 }
 }
 
 /// Clamps to [0, 1]; written as comparisons because these are single instructions.

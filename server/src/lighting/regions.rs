@@ -10,6 +10,9 @@ pub(super) enum Topology {
     Panorama,
 }
 
+/// Texels that are searched for a first one of a region together.
+const RUN: usize = 64;
+
 /// Most eight-connected regions of a mask: any 2×2 texels touch each other, so they hold parts of at most one.
 pub(super) fn most_regions(width: usize, rows: usize) -> usize {
     width.div_ceil(2) * rows.div_ceil(2)
@@ -31,14 +34,23 @@ impl Regions {
 
     /// Finds the regions of the texels of a `width`-wide map for which `inside` holds.
     pub(super) fn find(&mut self, width: usize, values: &[f32], topology: Topology, inside: impl Fn(f32) -> bool) {
-        self.mask.clear();
-        self.mask.extend(values.iter().map(|value| inside(*value)));
+        self.mask.resize(values.len(), false);
+        for (mask, value) in self.mask.iter_mut().zip(values) {
+            *mask = inside(*value);
+        }
         self.members.clear();
         self.ends.clear();
-        for seed in 0..self.mask.len() {
-            if self.mask[seed] {
-                self.grow(seed, width, topology);
-                self.ends.push(self.members.len());
+        for start in (0..self.mask.len()).step_by(RUN) {
+            let run = start..(start + RUN).min(self.mask.len());
+            // Without a way out half way, so that many texels are looked at together: nearly all runs are empty.
+            if !self.mask[run.clone()].iter().fold(false, |any, inside| any | inside) {
+                continue;
+            }
+            for seed in run {
+                if self.mask[seed] {
+                    self.grow(seed, width, topology);
+                    self.ends.push(self.members.len());
+                }
             }
         }
     }
@@ -50,7 +62,14 @@ impl Regions {
         while next < self.members.len() {
             let texel = self.members[next] as usize;
             next += 1;
-            let (row, column) = (texel / width, texel % width);
+            let (row, column) = (texel as u32 / width as u32, texel as u32 % width as u32);
+            let (row, column) = (row as usize, column as usize);
+            if row > 0 && row + 1 < rows && column > 0 && column + 1 < width {
+                for first in [texel - width - 1, texel - 1, texel + width - 1] {
+                    self.visit_three(first);
+                }
+                continue;
+            }
             let wraps = topology == Topology::Panorama;
             let left = if column > 0 { Some(column - 1) } else { wraps.then_some(width - 1) };
             let right = if column + 1 < width { Some(column + 1) } else { wraps.then_some(0) };
@@ -65,6 +84,16 @@ impl Regions {
         }
     }
 
+    /// Visits a texel and the two beside it; the middle of a region has been visited from all sides.
+    #[inline]
+    fn visit_three(&mut self, first: usize) {
+        let [a, b, c] = [self.mask[first], self.mask[first + 1], self.mask[first + 2]];
+        if a | b | c {
+            (first..first + 3).for_each(|texel| self.visit(texel));
+        }
+    }
+
+    #[inline]
     fn visit(&mut self, texel: usize) {
         if std::mem::take(&mut self.mask[texel]) {
             self.members.push(texel as u32);

@@ -30,20 +30,20 @@ const GAUSS: [(f64, f64); 4] = [
 /// Tables for one size of panorama.
 pub(super) struct Series {
     arch: Arch,
-    /// sin λ, cos λ, sin 2λ and cos 2λ at each column's centre, then those of 3λ and 4λ.
-    harmonics: Vec<[Vec<f32>; 4]>,
+    /// sin λ, cos λ, sin 2λ, cos 2λ and so on, each at the centres of the first quarter of the columns.
+    harmonics: Vec<Vec<f32>>,
     /// For each row and moment, what it gives to every coefficient.
     weights: Vec<f64>,
     coefficients: usize,
 }
 
 impl Series {
-    /// Tables for the first `coefficients`, at most 25, of a panorama of this size.
+    /// Tables for the first `coefficients`, at most 25, of a panorama of this size, whose width is a multiple of four.
     pub(super) fn new(size: Grid, coefficients: usize) -> Self {
         let (degree, depth) = if coefficients <= SH9 { (2, SH9) } else { (4, SH25) };
         let longitude = |column: u32| ((f64::from(column) + 0.5) / f64::from(size.width) - 0.5) * TAU;
-        let harmonic = |k: usize| (0..size.width).map(|column| moment_basis(k, longitude(column)) as f32).collect();
-        let harmonics = (0..degree / 2).map(|pair| std::array::from_fn(|k| harmonic(1 + 4 * pair + k))).collect();
+        let harmonic = |k: usize| (0..size.width / 4).map(|column| moment_basis(k, longitude(column)) as f32).collect();
+        let harmonics = (1..=2 * degree).map(harmonic).collect();
         let mut weights = Vec::with_capacity(size.height as usize * (1 + 2 * degree) * depth);
         for row in 0..size.height {
             let of_row = row_weights(size, row);
@@ -86,15 +86,10 @@ impl Project<'_> {
         let weights = self.series.weights.as_chunks::<DEPTH>().0.as_chunks::<MOMENTS>().0;
         for (row, weights) in weights.iter().enumerate() {
             for (channel, sums) in sums.iter_mut().enumerate() {
-                let mut of_row = [0.0; MOMENTS];
-                for (pair, harmonics) in self.series.harmonics.iter().enumerate() {
-                    let [one, rest @ ..] = moments(simd, self.panorama.row(channel, row), harmonics);
-                    of_row[0] = one;
-                    of_row[1 + 4 * pair..5 + 4 * pair].copy_from_slice(&rest);
-                }
-                for (moment, weights) in of_row.iter().zip(weights) {
-                    for i in 0..DEPTH {
-                        sums[i] += f64::from(*moment) * weights[i];
+                let of_row = moments::<S, MOMENTS>(simd, self.panorama.row(channel, row), &self.series.harmonics);
+                for (i, sum) in sums.iter_mut().enumerate() {
+                    for (moment, weights) in of_row.iter().zip(weights) {
+                        *sum += f64::from(*moment) * weights[i];
                     }
                 }
             }
@@ -105,26 +100,76 @@ impl Project<'_> {
     }
 }
 
-/// Sums of a row times 1 and times each of four harmonics, as long as the row.
+/// Sums of a row times 1 and times each of the harmonics.
+///
+/// Columns a quarter of the row apart have the same harmonics but for sign and order: a turn by 90° leaves those of 4λ as they are, reverses
+/// those of 2λ and exchanges the sines and cosines of λ and 3λ. So the four are added and subtracted first, and multiplied once.
+/// No sum is fused with its product, so that every processor finds the same light.
 #[inline(always)]
-fn moments<S: Simd>(simd: S, row: &[f32], harmonics: &[Vec<f32>; 4]) -> [f32; 5] {
-    let (values, rest) = S::as_simd_f32s(row);
-    let [(a, rest_a), (b, rest_b), (c, rest_c), (d, rest_d)] = harmonics.each_ref().map(|harmonic| S::as_simd_f32s(harmonic));
-    let mut sums = [simd.splat_f32s(0.0); 5];
-    let mut add = |value, harmonics: [S::f32s; 4]| {
-        sums[0] = simd.add_f32s(sums[0], value);
-        for k in 0..4 {
-            // Not fused, so that every processor finds the same light.
-            sums[1 + k] = simd.add_f32s(sums[1 + k], simd.mul_f32s(value, harmonics[k]));
+fn moments<S: Simd, const MOMENTS: usize>(simd: S, row: &[f32], harmonics: &[Vec<f32>]) -> [f32; MOMENTS] {
+    let quarter = row.len() / 4;
+    let zero = simd.splat_f32s(0.0);
+    let (mut whole, mut rest): ([&[S::f32s]; 4], _) = ([&[]; 4], [zero; 4]);
+    for i in 0..4 {
+        let (vectors, remainder) = S::as_simd_f32s(&row[i * quarter..(i + 1) * quarter]);
+        (whole[i], rest[i]) = (vectors, simd.partial_load_f32s(remainder));
+    }
+    let (mut tables, mut rest_of_tables): ([&[S::f32s]; MOST_MOMENTS], _) = ([&[]; MOST_MOMENTS], [zero; MOST_MOMENTS]);
+    for k in 1..MOMENTS {
+        let (vectors, remainder) = S::as_simd_f32s(&harmonics[k - 1]);
+        (tables[k], rest_of_tables[k]) = (&vectors[..whole[0].len()], simd.partial_load_f32s(remainder));
+    }
+    let mut sums = [zero; MOST_MOMENTS];
+    for vector in 0..whole[0].len() {
+        let values = [whole[0][vector], whole[1][vector], whole[2][vector], whole[3][vector]];
+        let mut harmonics = [zero; MOST_MOMENTS];
+        for k in 1..MOMENTS {
+            harmonics[k] = tables[k][vector];
         }
-    };
-    for ((((value, a), b), c), d) in values.iter().zip(a).zip(b).zip(c).zip(d) {
-        add(*value, [*a, *b, *c, *d]);
+        add_products::<S, MOMENTS>(simd, values, harmonics, &mut sums);
     }
-    if !rest.is_empty() {
-        add(simd.partial_load_f32s(rest), [rest_a, rest_b, rest_c, rest_d].map(|rest| simd.partial_load_f32s(rest)));
+    // Beyond the end are zeros, which add nothing.
+    add_products::<S, MOMENTS>(simd, rest, rest_of_tables, &mut sums);
+    let mut moments = [0.0; MOMENTS];
+    for k in 0..MOMENTS {
+        moments[k] = simd.reduce_sum_f32s(sums[k]);
     }
-    sums.map(|sum| simd.reduce_sum_f32s(sum))
+    moments
+}
+
+/// Adds the products of four values, each a quarter of the way further on, with the harmonics of the first; that of index 0 is 1.
+#[inline(always)]
+fn add_products<S: Simd, const MOMENTS: usize>(
+    simd: S,
+    [a, b, c, d]: [S::f32s; 4],
+    harmonics: [S::f32s; MOST_MOMENTS],
+    sums: &mut [S::f32s; MOST_MOMENTS],
+) {
+    let [_, sin, cos, sin_2, cos_2, sin_3, cos_3, sin_4, cos_4] = harmonics;
+    let (even, odd) = ((simd.add_f32s(a, c), simd.add_f32s(b, d)), (simd.sub_f32s(a, c), simd.sub_f32s(b, d)));
+    let (all, alternating) = (simd.add_f32s(even.0, even.1), simd.sub_f32s(even.0, even.1));
+    sums[0] = simd.add_f32s(sums[0], all);
+    let (of_sin, of_cos) = turned(simd, odd.0, odd.1, sin, cos);
+    sums[1] = simd.add_f32s(sums[1], of_sin);
+    sums[2] = simd.add_f32s(sums[2], of_cos);
+    sums[3] = simd.add_f32s(sums[3], simd.mul_f32s(alternating, sin_2));
+    sums[4] = simd.add_f32s(sums[4], simd.mul_f32s(alternating, cos_2));
+    if MOMENTS == MOST_MOMENTS {
+        let (of_cos, of_sin) = turned(simd, odd.0, odd.1, cos_3, sin_3);
+        sums[5] = simd.add_f32s(sums[5], of_sin);
+        sums[6] = simd.add_f32s(sums[6], of_cos);
+        sums[7] = simd.add_f32s(sums[7], simd.mul_f32s(all, sin_4));
+        sums[8] = simd.add_f32s(sums[8], simd.mul_f32s(all, cos_4));
+    }
+}
+
+/// Products with one harmonic and with the next, for values of which the second belong a quarter of the way further on:
+/// there the first harmonic is what the second is here, and the second is what the first is here, reversed.
+#[inline(always)]
+fn turned<S: Simd>(simd: S, here: S::f32s, further: S::f32s, first: S::f32s, second: S::f32s) -> (S::f32s, S::f32s) {
+    let of_first = simd.add_f32s(simd.mul_f32s(here, first), simd.mul_f32s(further, second));
+    let of_second = simd.sub_f32s(simd.mul_f32s(here, second), simd.mul_f32s(further, first));
+    (of_first, of_second)
 }
 
 /// 1, sin λ, cos λ, sin 2λ, cos 2λ, …
@@ -163,7 +208,7 @@ mod tests {
     use mr360_protocol::light::Lift;
     use mr360_shaders::sh::basis9;
 
-    /// 30 columns leave a remainder of six beside the lanes.
+    /// 28 columns make quarters of seven, which are no whole number of vectors.
     fn filled(size: Grid) -> Panorama {
         let mut panorama = Panorama::new(size, Lift::Linear);
         for texel in 0..(size.width * size.height) as usize {
@@ -175,16 +220,16 @@ mod tests {
 
     #[test]
     fn coefficients_are_the_integral_over_every_texel() {
-        let size = Grid { width: 30, height: 14, supersample: 1 };
+        let size = Grid { width: 28, height: 14, supersample: 1 };
         let panorama = filled(size);
         let mut got = [Vec3::ZERO; SH25];
         Series::new(size, SH25).project(&panorama, &mut got);
         // Each texel by 12×12 parts, whose own error is 1/144 of a texel's.
-        let fine = Grid { width: 360, height: 168, supersample: 1 };
+        let fine = Grid { width: 336, height: 168, supersample: 1 };
         let geometry = &Panorama::new(fine, Lift::Linear).geometry;
         let mut expected = [DVec3::ZERO; SH25];
-        for (row, column) in (0..168).flat_map(|row| (0..360).map(move |column| (row, column))) {
-            let energy = panorama.radiance(row / 12 * 30 + column / 12).as_dvec3() * f64::from(geometry.solid_angle_sr[row]);
+        for (row, column) in (0..168).flat_map(|row| (0..336).map(move |column| (row, column))) {
+            let energy = panorama.radiance(row / 12 * 28 + column / 12).as_dvec3() * f64::from(geometry.solid_angle_sr[row]);
             for (sum, basis) in expected.iter_mut().zip(basis25(geometry.direction(row, column))) {
                 *sum += energy * f64::from(basis);
             }

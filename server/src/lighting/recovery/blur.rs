@@ -2,8 +2,8 @@
 
 use pulp::{Arch, Simd, WithSimd};
 
-use super::vectors::{all_zero, load, store, vectors};
 use crate::lighting::transpose::{SIDE, Square, Transpose, WithTranspose, dispatch};
+use crate::lighting::vectors::{all_zero, load, store, vectors};
 
 /// Blurs fields of one size.
 pub(super) struct Blur {

@@ -4,10 +4,10 @@ use glam::Vec3;
 use mr360_shaders::colour::{CLIPPED, LUMA};
 use pulp::{Arch, Simd, WithSimd};
 
-use super::vectors::{add_sides, load, store, vectors};
 use crate::lighting::panorama::Panorama;
 use crate::lighting::radiance::Planes;
 use crate::lighting::sampling::Grid;
+use crate::lighting::vectors::{add_sides, load, store, vectors};
 
 /// Most columns of cells: 2.8° at the horizon.
 const COLUMNS: usize = 128;
@@ -66,6 +66,7 @@ struct Sums {
 }
 
 impl Cells {
+    /// For panoramas of this size, whose width is a power of two from 8 on: whole vectors, of at most eight texels, make a row.
     pub(super) fn new(size: Grid) -> Self {
         let (width, height) = (size.width as usize, size.height as usize);
         let side = (width / COLUMNS).max(1);
@@ -131,10 +132,11 @@ impl WithSimd for Take<'_> {
         (self.cells.clipped_sr, self.cells.flux, self.cells.sky) = (0.0, 0.0, 0.0);
         let (mut ground, mut ground_weight) = (0.0, 0.0);
         for row in 0..self.cells.rows {
+            let Sums { open_rgb: [red, green, blue], brightest, .. } = &mut self.cells.sums;
+            [red, green, blue, brightest].into_iter().for_each(|sums| sums.fill(0.0));
             for texel_row in row * side..(row + 1) * side {
                 let (sine, solid_angle_sr) = (geometry.sin_cos_latitude[texel_row].0, geometry.solid_angle_sr[texel_row]);
-                let first = texel_row == row * side;
-                let flux = f64::from(LUMA.dot(self.add_texels(simd, texel_row, first)) * solid_angle_sr);
+                let flux = f64::from(LUMA.dot(self.add_texels(simd, texel_row)) * solid_angle_sr);
                 self.cells.flux += flux;
                 let weight = f64::from(sine.abs());
                 if sine > 0.0 {
@@ -152,29 +154,22 @@ impl WithSimd for Take<'_> {
 }
 
 impl Take<'_> {
-    /// Adds a row of texels to the sums as if nothing were clipped, or begins them with it; returns the sum of its radiance.
+    /// Adds a row of texels to the sums as if nothing were clipped; returns the sum of its radiance.
     #[inline(always)]
-    fn add_texels<S: Simd>(&mut self, simd: S, texel_row: usize, first: bool) -> Vec3 {
-        let Sums { open_rgb, brightest, .. } = &mut self.cells.sums;
+    fn add_texels<S: Simd>(&mut self, simd: S, texel_row: usize) -> Vec3 {
+        let Sums { open_rgb: [reds, greens, blues], brightest, .. } = &mut self.cells.sums;
         let solid_angle_sr = simd.splat_f32s(self.panorama.geometry.solid_angle_sr[texel_row]);
-        let texels = [self.panorama.row(0, texel_row), self.panorama.row(1, texel_row), self.panorama.row(2, texel_row)];
+        let [r, g, b] = [self.panorama.row(0, texel_row), self.panorama.row(1, texel_row), self.panorama.row(2, texel_row)];
+        let (r, g, b) = (S::as_simd_f32s(r).0, S::as_simd_f32s(g).0, S::as_simd_f32s(b).0);
+        let (reds, greens, blues) = (S::as_mut_simd_f32s(reds).0, S::as_mut_simd_f32s(greens).0, S::as_mut_simd_f32s(blues).0);
         let mut of_row = [simd.splat_f32s(0.0); 3];
-        for vector in 0..vectors::<S>(brightest.len()) {
-            let radiance @ [red, green, blue] =
-                [load(simd, texels[0], vector), load(simd, texels[1], vector), load(simd, texels[2], vector)];
-            let mut most = simd.max_f32s(simd.max_f32s(red, green), blue);
-            for channel in 0..3 {
-                of_row[channel] = simd.add_f32s(of_row[channel], radiance[channel]);
-                let mut energy = simd.mul_f32s(radiance[channel], solid_angle_sr);
-                if !first {
-                    energy = simd.add_f32s(energy, load(simd, &open_rgb[channel], vector));
-                }
-                store(simd, &mut open_rgb[channel], vector, energy);
-            }
-            if !first {
-                most = simd.max_f32s(most, load(simd, brightest, vector));
-            }
-            store(simd, brightest, vector, most);
+        let sums = reds.iter_mut().zip(greens).zip(blues).zip(S::as_mut_simd_f32s(brightest).0);
+        for ((((((reds, greens), blues), brightest), r), g), b) in sums.zip(r).zip(g).zip(b) {
+            of_row = [simd.add_f32s(of_row[0], *r), simd.add_f32s(of_row[1], *g), simd.add_f32s(of_row[2], *b)];
+            *reds = simd.add_f32s(*reds, simd.mul_f32s(*r, solid_angle_sr));
+            *greens = simd.add_f32s(*greens, simd.mul_f32s(*g, solid_angle_sr));
+            *blues = simd.add_f32s(*blues, simd.mul_f32s(*b, solid_angle_sr));
+            *brightest = simd.max_f32s(*brightest, simd.max_f32s(simd.max_f32s(*r, *g), *b));
         }
         let [red, green, blue] = of_row;
         Vec3::new(simd.reduce_sum_f32s(red), simd.reduce_sum_f32s(green), simd.reduce_sum_f32s(blue))

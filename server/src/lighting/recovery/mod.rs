@@ -24,12 +24,11 @@ mod excess;
 mod places;
 #[cfg(test)]
 mod tests;
-mod vectors;
 
+use super::vectors::{load, repeat_sides, store, vectors};
 use blur::Blur;
 use cells::Cells;
 use places::{Blurred, Places};
-use vectors::{load, repeat_sides, store, vectors};
 
 /// Half widths of the blurs, degrees: the rim of a clipped region; its size; its surroundings.
 const RIM_DEG: f32 = 2.8;

@@ -4,8 +4,8 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::cells::Cells;
 use super::excess::{self, Surroundings};
-use super::vectors::all_zero;
 use crate::lighting::radiance::Planes;
+use crate::lighting::vectors::all_zero;
 
 /// The clipped cells of one frame; all lists are as long.
 pub(super) struct Places {

@@ -8,9 +8,12 @@
 use glam::{DVec3, Vec2, Vec3};
 use mr360_shaders::colour::{LUMA, luminance};
 use mr360_shaders::equirect::{direction_from_uv, pixel_solid_angle_sr};
+use pulp::{Arch, Simd, WithSimd};
 
 use super::super::cells::Cells;
+use super::super::elementary::ln;
 use super::super::panorama::Panorama;
+use super::super::radiance::Planes;
 
 /// Columns of the coarse panorama.
 const COLUMNS: usize = 64;
@@ -103,12 +106,15 @@ impl Range {
         }
     }
 
+    #[inline(always)]
     fn holds(self, value: f32) -> bool {
-        value > self.floor && value < self.ceiling
+        (value > self.floor) & (value < self.ceiling)
     }
 
+    #[inline(always)]
     fn clamp(self, value: f32) -> f32 {
-        value.max(self.floor).min(self.ceiling)
+        let value = if value > self.floor { value } else { self.floor };
+        if value < self.ceiling { value } else { self.ceiling }
     }
 }
 
@@ -122,89 +128,183 @@ pub(super) struct Change {
 }
 
 /// Gain and cuts over time.
-#[derive(Default)]
 pub(super) struct Exposure {
-    /// Logarithm of radiance over gain, channel by channel; none where the texel has not been within the range yet.
-    reference: Vec<[Option<f32>; 3]>,
-    /// Luminance of the last frame.
+    arch: Arch,
+    /// Logarithm of radiance over gain, channel by channel; not a number where the texel has not been within the range yet.
+    reference: Planes,
+    /// Luminance of the last frame; empty if there is none.
     before: Vec<f32>,
     gain: DVec3,
-    ratios: Vec<f32>,
+    /// Radiance of this frame channel by channel, its logarithm, and its luminance.
+    radiance: Planes,
+    logarithms: Planes,
+    luminance: Vec<f32>,
+    /// Logarithms of ratios as integers of the same order.
+    ratios: Vec<i32>,
+}
+
+impl Default for Exposure {
+    fn default() -> Self {
+        let texels = || vec![0.0; COLUMNS * ROWS];
+        Self {
+            arch: Arch::new(),
+            reference: std::array::from_fn(|_| vec![f32::NAN; COLUMNS * ROWS]),
+            before: Vec::with_capacity(COLUMNS * ROWS),
+            gain: DVec3::ZERO,
+            radiance: std::array::from_fn(|_| texels()),
+            logarithms: std::array::from_fn(|_| texels()),
+            luminance: texels(),
+            ratios: vec![0; COLUMNS * ROWS],
+        }
+    }
 }
 
 impl Exposure {
     /// Forgets everything: the next frame has gain 1.
     pub(super) fn reset(&mut self) {
-        self.reference.clear();
+        self.reference.iter_mut().for_each(|reference| reference.fill(f32::NAN));
         self.before.clear();
         self.gain = DVec3::ZERO;
     }
 
     /// Compares a frame with those before it, `dt_s` after the last one.
     pub(super) fn measure(&mut self, coarse: &Coarse, hdr: bool, dt_s: f64) -> Change {
-        let range = Range::of(coarse, hdr);
-        self.reference.resize(COLUMNS * ROWS, [None; 3]);
-        let gain = DVec3::from_array([0, 1, 2].map(|channel| self.channel_gain(coarse, range, channel)));
-        let cut = !self.before.is_empty() && self.changed_share(coarse, range, (gain - self.gain).dot(LUMA.as_dvec3()) as f32) > CUT_SHARE;
-        self.gain = gain;
-        self.renew(coarse, range, (1.0 - (-dt_s / RENEWAL_S).exp()) as f32);
+        let share = (1.0 - (-dt_s / RENEWAL_S).exp()) as f32;
+        self.arch.dispatch(Measure { exposure: self, coarse, range: Range::of(coarse, hdr), share })
+    }
+}
+
+/// [`Exposure::measure`] for whatever vectors there are; `share` is what the reference takes on of this frame.
+struct Measure<'a> {
+    exposure: &'a mut Exposure,
+    coarse: &'a Coarse,
+    range: Range,
+    share: f32,
+}
+
+impl WithSimd for Measure<'_> {
+    type Output = Change;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(mut self, _: S) -> Change {
+        self.take();
+        let gain = DVec3::new(self.channel_gain(0), self.channel_gain(1), self.channel_gain(2));
+        let step = (gain - self.exposure.gain).dot(LUMA.as_dvec3()) as f32;
+        let cut = !self.exposure.before.is_empty() && self.changed_share(step) > CUT_SHARE;
+        self.exposure.gain = gain;
+        self.renew();
         Change { gain, cut }
     }
+}
 
-    fn channel_gain(&mut self, coarse: &Coarse, range: Range, channel: usize) -> f64 {
-        let middle = FIRST_ROW * COLUMNS..(ROWS - FIRST_ROW) * COLUMNS;
-        self.ratios.clear();
-        self.ratios.reserve(COLUMNS * ROWS);
-        for (radiance, reference) in coarse.radiance[middle.clone()].iter().zip(&self.reference[middle]) {
-            if let Some(reference) = reference[channel].filter(|_| range.holds(radiance[channel])) {
-                self.ratios.push(radiance[channel].ln() - reference);
+/// Texels that take part.
+const MIDDLE: std::ops::Range<usize> = FIRST_ROW * COLUMNS..(ROWS - FIRST_ROW) * COLUMNS;
+
+impl Measure<'_> {
+    #[inline(always)]
+    fn take(&mut self) {
+        let Exposure { radiance: [red, green, blue], logarithms, luminance, .. } = &mut *self.exposure;
+        for (texel, radiance) in self.coarse.radiance.iter().enumerate().take(COLUMNS * ROWS) {
+            (red[texel], green[texel], blue[texel]) = (radiance.x, radiance.y, radiance.z);
+        }
+        for (((luminance, r), g), b) in luminance.iter_mut().zip(&*red).zip(&*green).zip(&*blue) {
+            *luminance = LUMA.x * r + LUMA.y * g + LUMA.z * b;
+        }
+        for (logarithms, radiance) in logarithms.iter_mut().zip([red, green, blue]) {
+            for (logarithm, radiance) in logarithms.iter_mut().zip(radiance) {
+                *logarithm = ln(*radiance);
             }
         }
-        if self.ratios.len() < LEAST_TEXELS {
-            return self.gain[channel];
+    }
+
+    #[inline(always)]
+    fn channel_gain(&mut self, channel: usize) -> f64 {
+        let Exposure { reference, radiance, logarithms, ratios, gain, .. } = &mut *self.exposure;
+        let texels = radiance[channel][MIDDLE].iter().zip(&logarithms[channel][MIDDLE]).zip(&reference[channel][MIDDLE]);
+        let mut count = 0;
+        // Written wherever it belongs and kept where it counts: which texels do is no pattern that a processor could foresee.
+        for ((radiance, logarithm), reference) in texels {
+            ratios[count] = ordered(logarithm - reference);
+            count += usize::from(self.range.holds(*radiance) & !reference.is_nan());
         }
-        let half = self.ratios.len() / 2;
-        f64::from(*self.ratios.select_nth_unstable_by(half, f32::total_cmp).1)
+        if count < LEAST_TEXELS { gain[channel] } else { f64::from(from_ordered(nth(&ratios[..count], count / 2))) }
     }
 
     /// Share of the informative texels that differ from the last frame's by more than the gain explains.
-    fn changed_share(&self, coarse: &Coarse, range: Range, gain_step: f32) -> f64 {
-        let (mut changed, mut informative) = (0usize, 0usize);
-        let middle = FIRST_ROW * COLUMNS..(ROWS - FIRST_ROW) * COLUMNS;
-        for (radiance, before) in coarse.radiance[middle.clone()].iter().zip(&self.before[middle]) {
-            let (now, before) = (luminance(*radiance), *before);
-            if !range.holds(now) && !range.holds(before) && (now < range.floor) == (before < range.floor) {
-                continue;
-            }
-            informative += 1;
-            let step = (range.clamp(now) / range.clamp(before)).ln() - gain_step;
+    #[inline(always)]
+    fn changed_share(&self, gain_step: f32) -> f64 {
+        let range = self.range;
+        let (least, most) = ((gain_step - CHANGED).exp(), (gain_step + CHANGED).exp());
+        let (mut changed, mut informative) = (0u32, 0u32);
+        for (now, before) in self.exposure.luminance[MIDDLE].iter().zip(&self.exposure.before[MIDDLE]) {
+            let (now, before) = (*now, *before);
+            let ratio = range.clamp(now) / range.clamp(before);
             // A clamped value says only that the truth lies further out.
-            let step = if before <= range.floor || now >= range.ceiling {
-                step.max(0.0)
-            } else if before >= range.ceiling || now <= range.floor {
-                step.min(0.0)
-            } else {
-                step
-            };
-            changed += usize::from(step.abs() > CHANGED);
+            let may_rise = (before <= range.floor) | (now >= range.ceiling);
+            let may_fall = (before >= range.ceiling) | (now <= range.floor);
+            let differs = ((ratio > most) & (may_rise | !may_fall)) | ((ratio < least) & !may_rise);
+            let informs = range.holds(now) | range.holds(before) | ((now < range.floor) != (before < range.floor));
+            // Sums that are checked for overflow are added one by one.
+            informative = informative.wrapping_add(u32::from(informs));
+            changed = changed.wrapping_add(u32::from(informs & differs));
         }
-        if informative < LEAST_TEXELS { 0.0 } else { changed as f64 / informative as f64 }
+        if (informative as usize) < LEAST_TEXELS { 0.0 } else { f64::from(changed) / f64::from(informative) }
     }
 
-    fn renew(&mut self, coarse: &Coarse, range: Range, share: f32) {
-        let gain = self.gain.as_vec3();
-        for (radiance, reference) in coarse.radiance.iter().zip(&mut self.reference) {
-            for channel in 0..3 {
-                if range.holds(radiance[channel]) {
-                    let canonical = radiance[channel].ln() - gain[channel];
-                    let known = reference[channel].get_or_insert(canonical);
-                    *known += share * (canonical - *known);
-                }
+    #[inline(always)]
+    fn renew(&mut self) {
+        let Exposure { reference, before, gain, radiance, logarithms, luminance, .. } = &mut *self.exposure;
+        for channel in 0..3 {
+            let gain = gain[channel] as f32;
+            let texels = radiance[channel].iter().zip(&logarithms[channel]);
+            for (reference, (radiance, logarithm)) in reference[channel].iter_mut().zip(texels) {
+                let canonical = logarithm - gain;
+                let known = if reference.is_nan() { canonical } else { *reference };
+                let renewed = known + self.share * (canonical - known);
+                *reference = if self.range.holds(*radiance) { renewed } else { *reference };
             }
         }
-        self.before.clear();
-        self.before.extend(coarse.radiance.iter().map(|radiance| luminance(*radiance)));
+        before.clear();
+        before.extend_from_slice(luminance);
     }
+}
+
+/// A float as an integer: the order of the integers is that of the floats.
+#[inline(always)]
+fn ordered(value: f32) -> i32 {
+    let bits = value.to_bits() as i32;
+    bits ^ ((bits >> 31) & i32::MAX)
+}
+
+/// The float of an integer of [`ordered`], which is its own inverse.
+#[inline(always)]
+fn from_ordered(integer: i32) -> f32 {
+    f32::from_bits((integer ^ ((integer >> 31) & i32::MAX)) as u32)
+}
+
+/// The value that `n` others come before. Halving what is left of all integers takes up to 32 looks at every value, many values at a time,
+/// which is several times as fast as sorting some of them one by one.
+#[inline(always)]
+fn nth(values: &[i32], n: usize) -> i32 {
+    let (mut first, mut last) = (i32::MAX, i32::MIN);
+    for value in values {
+        first = first.min(*value);
+        last = last.max(*value);
+    }
+    while first < last {
+        // The mean, rounded down; the sum itself may overflow.
+        let middle = (first & last) + ((first ^ last) >> 1);
+        let mut below = 0u32;
+        for value in values {
+            below = below.wrapping_add(u32::from(*value <= middle));
+        }
+        if below as usize > n {
+            last = middle;
+        } else {
+            first = middle + 1;
+        }
+    }
+    first
 }
 
 #[cfg(test)]
@@ -234,6 +334,17 @@ mod tests {
             let change = exposure.measure(&place(8, gain), false, 1.0 / 30.0);
             assert!((change.gain - gain.as_dvec3().ln()).abs().max_element() < 1e-5, "{gain}: {change:?}");
             assert!(!change.cut, "{gain}");
+        }
+    }
+
+    #[test]
+    fn the_nth_value_is_that_of_a_sorted_list() {
+        let mut values: Vec<f32> = (0..1001).map(|i: i32| ((i * 7919 % 1009) as f32 - 500.0) * 1e-3).collect();
+        values.extend([0.0, -0.0, 1e30, -1e30]);
+        let integers: Vec<i32> = values.iter().map(|value| ordered(*value)).collect();
+        values.sort_by(f32::total_cmp);
+        for (n, value) in values.iter().enumerate() {
+            assert_eq!(from_ordered(nth(&integers, n)).to_bits(), value.to_bits(), "{n}");
         }
     }
 
