@@ -70,8 +70,9 @@ impl WithSimd for Take<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
         let Cells { columns, channels, side, shares, sums, .. } = self.cells;
-        for (channel, cells) in channels.iter_mut().enumerate() {
-            for (row, (cells, shares)) in cells.chunks_exact_mut(*columns).zip(shares.chunks_exact(*side)).enumerate() {
+        // From the bottom up: whoever read the panorama before has left its last rows in the cache.
+        for (row, shares) in shares.chunks_exact(*side).enumerate().rev() {
+            for (channel, cells) in channels.iter_mut().enumerate() {
                 for (i, shares) in shares.chunks(AT_ONCE).enumerate() {
                     let first = row * *side + i * AT_ONCE;
                     let texels = |k: usize| self.panorama.row(channel, first + k);
@@ -82,7 +83,7 @@ impl WithSimd for Take<'_> {
                         _ => {}
                     }
                 }
-                gather(sums, *side, cells);
+                gather(sums, *side, &mut cells[row * *columns..(row + 1) * *columns]);
             }
         }
     }

@@ -17,6 +17,8 @@ use super::sampling::Grid;
 
 /// 1, and sin mλ and cos mλ for every m up to 4.
 const MOST_MOMENTS: usize = 9;
+/// Moments that a basis function may have.
+const MOMENTS_OF_EACH: usize = 3;
 /// Longitudes at which a basis function is read to find its polynomial: twice the highest degree and one more would do.
 const READINGS: usize = 16;
 /// Nodes and weights of Gauss and Legendre's rule over [−1, 1].
@@ -32,8 +34,11 @@ pub(super) struct Series {
     arch: Arch,
     /// sin λ, cos λ, sin 2λ, cos 2λ and so on, each at the centres of the first quarter of the columns.
     harmonics: Vec<Vec<f32>>,
-    /// For each row and moment, what it gives to every coefficient.
+    /// For each row, what every coefficient gets of its first moment, then of its second and its third.
     weights: Vec<f64>,
+    /// Moments of each coefficient. A basis function is even or odd in x and even or odd in z, and so are the harmonics: sin λ and sin 3λ,
+    /// cos λ and cos 3λ, sin 2λ and sin 4λ, and 1, cos 2λ and cos 4λ.
+    moments: [[usize; SH25]; MOMENTS_OF_EACH],
     coefficients: usize,
 }
 
@@ -44,12 +49,18 @@ impl Series {
         let longitude = |column: u32| ((f64::from(column) + 0.5) / f64::from(size.width) - 0.5) * TAU;
         let harmonic = |k: usize| (0..size.width / 4).map(|column| moment_basis(k, longitude(column)) as f32).collect();
         let harmonics = (1..=2 * degree).map(harmonic).collect();
-        let mut weights = Vec::with_capacity(size.height as usize * (1 + 2 * degree) * depth);
-        for row in 0..size.height {
-            let of_row = row_weights(size, row);
-            weights.extend(of_row[..=2 * degree].iter().flat_map(|weights| &weights[..depth]));
+        let of_rows: Vec<_> = (0..size.height).map(|row| row_weights(size, row)).collect();
+        let mut moments = [[0; SH25]; MOMENTS_OF_EACH];
+        for i in 0..depth {
+            // All others are zero but for rounding.
+            let mut by_weight: [usize; MOST_MOMENTS] = std::array::from_fn(|k| k);
+            let whole = |k: usize| of_rows.iter().map(|weights| weights[k][i].abs()).sum::<f64>();
+            by_weight.sort_by(|a, b| whole(*b).total_cmp(&whole(*a)));
+            moments.iter_mut().zip(by_weight).for_each(|(moments, k)| moments[i] = k);
         }
-        Self { arch: Arch::new(), harmonics, weights, coefficients: coefficients.min(SH25) }
+        let of_row = |row: &[[f64; SH25]; MOST_MOMENTS]| moments.map(|moments| std::array::from_fn::<_, SH25, _>(|i| row[moments[i]][i]));
+        let weights = of_rows.iter().flat_map(|row| of_row(row).into_iter().flat_map(|weights| weights.into_iter().take(depth))).collect();
+        Self { arch: Arch::new(), harmonics, weights, moments, coefficients: coefficients.min(SH25) }
     }
 
     /// How many coefficients the tables are for.
@@ -83,13 +94,17 @@ impl Project<'_> {
     #[inline(always)]
     fn run<S: Simd, const MOMENTS: usize, const DEPTH: usize>(self, simd: S) {
         let mut sums = [[0.0f64; DEPTH]; 3];
-        let weights = self.series.weights.as_chunks::<DEPTH>().0.as_chunks::<MOMENTS>().0;
+        let weights = self.series.weights.as_chunks::<DEPTH>().0.as_chunks::<MOMENTS_OF_EACH>().0;
         for (row, weights) in weights.iter().enumerate() {
             for (channel, sums) in sums.iter_mut().enumerate() {
                 let of_row = moments::<S, MOMENTS>(simd, self.panorama.row(channel, row), &self.series.harmonics);
-                for (i, sum) in sums.iter_mut().enumerate() {
-                    for (moment, weights) in of_row.iter().zip(weights) {
-                        *sum += f64::from(*moment) * weights[i];
+                for (moments, weights) in self.series.moments.iter().zip(weights) {
+                    let mut of_coefficients = [0.0; DEPTH];
+                    for (moment, k) in of_coefficients.iter_mut().zip(moments) {
+                        *moment = of_row[*k % MOMENTS];
+                    }
+                    for i in 0..DEPTH {
+                        sums[i] += f64::from(of_coefficients[i]) * weights[i];
                     }
                 }
             }

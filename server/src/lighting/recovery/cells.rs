@@ -131,7 +131,8 @@ impl WithSimd for Take<'_> {
         let width = self.panorama.size.width as usize;
         (self.cells.clipped_sr, self.cells.flux, self.cells.sky) = (0.0, 0.0, 0.0);
         let (mut ground, mut ground_weight) = (0.0, 0.0);
-        for row in 0..self.cells.rows {
+        // From the bottom up: the last rows that were sampled are in the cache still.
+        for row in (0..self.cells.rows).rev() {
             let Sums { open_rgb: [red, green, blue], brightest, .. } = &mut self.cells.sums;
             [red, green, blue, brightest].into_iter().for_each(|sums| sums.fill(0.0));
             for texel_row in row * side..(row + 1) * side {
