@@ -34,7 +34,7 @@ pub struct DirectionalLight {
 pub const MAX_GAIN_LN: f32 = 6.0;
 /// Largest slope of that logarithm over the unit sphere.
 pub const MAX_GAIN_SLOPE: f32 = 16.0;
-/// Largest logarithm of a channel of [`Recovery::tint`] over green.
+/// Largest logarithm of a channel of [`Recovery::tint_ln`] over green.
 pub const MAX_TINT_LN: f32 = 0.7;
 
 /// How the video's code values become the radiance that the lights and the SH were taken from; a client

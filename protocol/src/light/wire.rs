@@ -1,7 +1,7 @@
 //! The light frame on the wire: quantised so that a frame of four lights and nine SH coefficients takes about a hundred bytes.
 //!
-//! Errors, all far below those of any estimate (see the tests): directions 0.005°; irradiance 0.05 % in luminance and 0.1 % in colour; solid
-//! angles 3 %, which is 1.6 % of a penumbra; SH bands 0 and 1 are half floats, bands 2 to 4 bytes relative to the largest of their band. Band 2
+//! Errors, all far below those of any estimate (see the tests): directions 0.005°; irradiance 0.05 % in luminance (down to 6e-5, where half floats
+//! lose digits) and 0.25 % in colour; solid angles 3 %, which is 1.6 % of a penumbra; a recovery's gain 1 %; SH bands 0 and 1 are half floats, bands 2 to 4 bytes relative to the largest of their band. Band 2
 //! reaches irradiance with a quarter of the mean's weight, band 3 not at all and band 4 with a twenty-fourth, so that bytes do for them.
 
 use glam::Vec3;
@@ -41,6 +41,10 @@ impl LightFrame {
             let solid_angle_sr = light.solid_angle_sr;
             let sphere = 4.0 * std::f32::consts::PI + 0.01;
             check(solid_angle_sr > 0.0 && solid_angle_sr <= sphere, "lights.solid_angle_sr", format!("{solid_angle_sr}"))?;
+        }
+        if let Lift::Recovered(recovery) = self.lift {
+            // Rounding would make a sound colour of any.
+            check(recovery.tint_ln.iter().all(|ln| ln.abs() <= MAX_TINT_LN), "lift.tint", format!("{:?}", recovery.tint_ln))?;
         }
         check(matches!(self.sh.len(), SH9 | SH25), "sh", format!("{} coefficients, {SH9} or {SH25} expected", self.sh.len()))?;
         WireLightFrame {

@@ -1,6 +1,7 @@
 //! Regions brighter than a threshold as candidates for lights, and what is left once the chosen ones are out.
 
 use glam::{DVec3, Vec3};
+use mr360_shaders::colour::LUMA;
 
 use super::panorama::Panorama;
 use super::regions::Regions;
@@ -64,6 +65,32 @@ impl Candidates {
     /// Candidates, strongest first.
     pub(super) fn list(&self) -> &[Candidate] {
         &self.list
+    }
+
+    /// Strength of a candidate's texels that are clipped by more than `inside`, and what of its strength is above display white: shares of it.
+    pub(super) fn clipped(
+        candidate: &Candidate,
+        panorama: &Panorama,
+        regions: &Regions,
+        degree: &[f32],
+        inside: f32,
+        threshold: f32,
+    ) -> (f64, f64) {
+        let width = panorama.size.width as usize;
+        let (mut clipped, mut hidden) = (0.0, 0.0);
+        for texel in regions.members(candidate.region) {
+            let texel = *texel as usize;
+            let luminance = panorama.radiance(texel).dot(LUMA);
+            let solid_angle_sr = f64::from(panorama.geometry.solid_angle_sr[texel / width]);
+            clipped += if degree[texel] > inside { f64::from((luminance - threshold).max(0.0)) * solid_angle_sr } else { 0.0 };
+            hidden += if degree[texel] > 0.0 { f64::from((luminance - threshold.max(1.0)).max(0.0)) * solid_angle_sr } else { 0.0 };
+        }
+        (clipped / candidate.strength, (hidden / candidate.strength).min(1.0))
+    }
+
+    /// Whether a candidate's region holds this texel.
+    pub(super) fn holds(candidate: &Candidate, regions: &Regions, texel: u32) -> bool {
+        regions.members(candidate.region).contains(&texel)
     }
 
     /// Direction of a candidate's core, where shadows come from: the centroid of what lies within twice the radius of its effective solid angle,

@@ -11,11 +11,11 @@ use mr360_shaders::colour::LUMA;
 
 use super::panorama::Panorama;
 use super::regions::Regions;
-use super::track::Observation;
+use super::track::{MOST_OBSERVATIONS, Observation};
 
-/// Texels clipped by more than this belong to a region, and wholly from 1 on.
+/// Texels clipped by more than this belong to a region with all that they hold, and say where it is by how much more.
 pub(super) const INSIDE: f32 = 0.8;
-/// From this solid angle on a region is as likely as its place makes it: eight texels of the default method's panorama, a disc of 0.5°
+/// From this solid angle on a region is as likely as its place makes it: more than a texel of the default method's panorama, a disc of 0.5°
 /// radius. Smaller ones are glints and sharpened edges.
 const WHOLE_SR: f64 = 2e-4;
 /// Share of what recovery added to the regions that goes to the likeliest.
@@ -30,6 +30,8 @@ const TEMPERATURE: f64 = 0.05;
 /// A clipped region of the upper hemisphere.
 #[derive(Debug, Clone, Copy)]
 struct Region {
+    /// One of its texels.
+    texel: u32,
     irradiance: DVec3,
     strength: f64,
     moment: DVec3,
@@ -79,7 +81,7 @@ impl Clipped {
         Self { list: Vec::with_capacity(regions), likelihood: Vec::with_capacity(regions) }
     }
 
-    /// Measures the regions and writes the strongest, as many as `observations` has room for. `moved` is told direction and irradiance of
+    /// Measures the regions and writes the strongest, at most [`MOST_OBSERVATIONS`]. `moved` is told direction and irradiance of
     /// whatever was moved to or from one of them: the panorama does not know of it.
     pub(super) fn observe(
         &mut self,
@@ -104,21 +106,23 @@ impl Clipped {
         }
         self.list.sort_unstable_by(|a, b| b.strength.total_cmp(&a.strength));
         observations.clear();
-        let room = observations.capacity();
-        observations.extend(self.list.iter().take(room).map(|region| {
+        observations.extend(self.list.iter().take(MOST_OBSERVATIONS).map(|region| {
             let hidden_share = (region.hidden / region.strength).clamp(0.0, 1.0);
             let sigma = f64::from(sky.sigma) * hidden_share;
-            // A light that may well be one is one: missing the only lamp of a room is worse than a faint shadow too many.
-            let likely = region.strength * sigma.exp();
             Observation {
                 direction: region.direction(),
                 irradiance: region.irradiance,
                 solid_angle_sr: region.strength * region.strength / region.concentration,
-                share: likely / (sky.energy + likely - region.strength),
+                share: likely_share(region.strength, sky.energy, sigma),
                 hidden_share,
                 sigma,
             }
         }));
+    }
+
+    /// A texel of the region behind each observation, in the same order.
+    pub(super) fn texels(&self) -> impl Iterator<Item = u32> + '_ {
+        self.list.iter().take(MOST_OBSERVATIONS).map(|region| region.texel)
     }
 
     /// How likely each region is to hold the sun; the sum is 1.
@@ -140,26 +144,43 @@ impl Clipped {
     }
 }
 
-/// What stands out of the mean in one region, each texel by how far inside it is.
+/// Share of the energy that a light may well have: its strength is known up to a standard deviation. Missing the only lamp of a room is worse
+/// than a faint shadow too many.
+pub(super) fn likely_share(strength: f64, energy: f64, sigma: f64) -> f64 {
+    let likely = strength * sigma.exp();
+    likely / (energy + likely - strength)
+}
+
+/// What stands out of the mean in one region.
 fn measure(sky: &Sky<'_>, members: &[u32]) -> Region {
-    let mut sum =
-        Region { irradiance: DVec3::ZERO, strength: 0.0, moment: DVec3::ZERO, concentration: 0.0, solid_angle_sr: 0.0, hidden: 0.0 };
+    let mut sum = Region {
+        texel: 0,
+        irradiance: DVec3::ZERO,
+        strength: 0.0,
+        moment: DVec3::ZERO,
+        concentration: 0.0,
+        solid_angle_sr: 0.0,
+        hidden: 0.0,
+    };
     let width = sky.panorama.size.width as usize;
+    sum.texel = members.first().copied().unwrap_or_default();
     for texel in members {
         let texel = *texel as usize;
         let radiance = sky.panorama.radiance(texel);
         let luminance = radiance.dot(LUMA);
-        let inside = smooth(((sky.clipped[texel] - INSIDE) / (1.0 - INSIDE)).clamp(0.0, 1.0));
+        // Never nothing, or a region on the brink of clipping would be nowhere.
+        let inside = smooth(((sky.clipped[texel] - INSIDE) / (1.0 - INSIDE)).clamp(0.0, 1.0)).max(1e-3);
         let excess = (1.0 - sky.mean / f64::from(luminance).max(f64::MIN_POSITIVE)).max(0.0);
         let (row, column) = (texel / width, texel % width);
-        let solid_angle_sr = f64::from(sky.panorama.geometry.solid_angle_sr[row] * inside);
+        let solid_angle_sr = f64::from(sky.panorama.geometry.solid_angle_sr[row]);
         let strength = f64::from(luminance) * excess * solid_angle_sr;
         sum.irradiance += radiance.as_dvec3() * (excess * solid_angle_sr);
         sum.strength += strength;
         // Where a region is brightest is a guess; where it is, is seen.
-        sum.moment += sky.panorama.geometry.direction(row, column).as_dvec3() * solid_angle_sr;
+        let inside_sr = solid_angle_sr * f64::from(inside);
+        sum.moment += sky.panorama.geometry.direction(row, column).as_dvec3() * inside_sr;
         sum.concentration += strength * f64::from(luminance) * excess;
-        sum.solid_angle_sr += solid_angle_sr;
+        sum.solid_angle_sr += inside_sr;
         // What is shown is white at most.
         sum.hidden += f64::from((luminance - 1.0).max(0.0)) * solid_angle_sr;
     }

@@ -8,7 +8,7 @@
 //! keeps its identity, moves and fades.
 
 use glam::Vec3;
-use mr360_protocol::light::{Lift, SH25};
+use mr360_protocol::light::{Lift, MAX_GAIN_LN, Recovery, SH25};
 use mr360_shaders::colour::{LUMA, recovery_tint};
 use mr360_shaders::sh::basis25;
 
@@ -34,6 +34,11 @@ const LEAST_SHARE: f64 = 0.04;
 /// A light is kept down to this share: its shadow takes at most 4 % off, twice the least contrast that is seen
 /// (Weber's 2 %), and fades there. Half of [`LEAST_SHARE`], so that nothing short of a halving makes a light come and go.
 const LAST_SHARE: f64 = 0.02;
+
+/// A region that stands out is left to its clipped parts when they make up more than this share of it.
+const MOSTLY: f64 = 0.5;
+/// The curve of an LDR frame in which nothing is clipped: no gain to speak of. Viewers then have one kind of curve for the whole stream.
+const UNCLIPPED: Recovery = Recovery { gain_ln: -MAX_GAIN_LN, slope: Vec3::ZERO, tint_ln: [0.0; 2] };
 
 /// The default method; see the module.
 pub struct Directional {
@@ -70,7 +75,7 @@ impl Directional {
             regions: Regions::new(width, upper_rows),
             candidates: Candidates::new(most_regions(width, upper_rows)),
             clipped: Clipped::new(most_regions(width, upper_rows)),
-            observations: Vec::with_capacity(MOST_OBSERVATIONS),
+            observations: Vec::with_capacity(2 * MOST_OBSERVATIONS),
             coarse: Coarse::default(),
             tracker: Tracker::new(Bounds { birth: LEAST_SHARE, death: LAST_SHARE, lights: MOST_LIGHTS }),
             estimate: Estimate { lights: Vec::with_capacity(MOST_LIGHTS), ..Estimate::default() },
@@ -117,8 +122,8 @@ impl Directional {
         Statistics { mean, deviation, peak: f64::from(peak), energy: first }
     }
 
-    /// Observations of a frame that clips, if it has any clipped region in the sky; what is moved between them is moved in the SH, too.
-    fn find_clipped(&mut self, statistics: &Statistics, recovered: &Recovered) -> bool {
+    /// Observations of what is clipped in the sky; what is moved between them is moved in the SH, too.
+    fn find_clipped(&mut self, statistics: &Statistics, recovered: &Recovered) {
         let clipped = &self.recoverer.clipped()[..self.luminance.len()];
         self.regions.find(self.panorama.size.width as usize, clipped, Topology::Panorama, |degree| degree > clipped::INSIDE);
         let sky = Sky {
@@ -133,11 +138,11 @@ impl Directional {
         self.clipped.observe(&sky, &self.regions, &mut self.observations, |direction, irradiance| {
             sh.iter_mut().zip(basis25(direction)).for_each(|(sum, basis)| *sum += irradiance.as_vec3() * basis);
         });
-        !self.observations.is_empty()
     }
 
-    /// Observations of any other frame.
-    fn find_candidates(&mut self, statistics: &Statistics, steps: &mut StepTimes) {
+    /// Observations of what else stands out. Where a region is clipped for the most part, its clipped parts stand for it; where it is not, it
+    /// stands for them.
+    fn find_candidates(&mut self, statistics: &Statistics, recovered: Option<&Recovered>, steps: &mut StepTimes) {
         let threshold = statistics.threshold();
         let width = self.panorama.size.width as usize;
         steps.time("regions", || {
@@ -145,17 +150,39 @@ impl Directional {
         });
         steps.time("candidates", || {
             self.candidates.collect(&self.panorama, &self.regions, LUMA, threshold);
-            let strongest = self.candidates.list().iter().take(MOST_OBSERVATIONS);
-            self.observations.clear();
-            self.observations.extend(strongest.map(|candidate| Observation {
-                direction: Candidates::core(candidate, &self.panorama, &self.regions, LUMA, threshold),
-                irradiance: candidate.irradiance,
-                solid_angle_sr: candidate.effective_solid_angle_sr(),
-                share: candidate.strength / statistics.energy,
-                hidden_share: 0.0,
-                sigma: 0.0,
-            }));
+            let of_clipped = self.observations.len();
+            let mut replaced = [false; MOST_OBSERVATIONS];
+            for candidate in self.candidates.list().iter().take(MOST_OBSERVATIONS) {
+                let (mut clipped, mut hidden_share) = (0.0, 0.0);
+                if recovered.is_some() {
+                    let degree = self.recoverer.clipped();
+                    (clipped, hidden_share) =
+                        Candidates::clipped(candidate, &self.panorama, &self.regions, degree, clipped::INSIDE, threshold);
+                }
+                if clipped > MOSTLY {
+                    continue;
+                }
+                if clipped > 0.0 {
+                    for (replaced, texel) in replaced.iter_mut().zip(self.clipped.texels()) {
+                        *replaced |= Candidates::holds(candidate, &self.regions, texel);
+                    }
+                }
+                let sigma = recovered.map_or(0.0, |recovered| f64::from(recovered.sigma) * hidden_share);
+                self.observations.push(Observation {
+                    direction: Candidates::core(candidate, &self.panorama, &self.regions, LUMA, threshold),
+                    irradiance: candidate.irradiance,
+                    solid_angle_sr: candidate.effective_solid_angle_sr(),
+                    share: clipped::likely_share(candidate.strength, statistics.energy, sigma),
+                    hidden_share,
+                    sigma,
+                });
+            }
+            let mut index = 0..;
+            self.observations.retain(|_| index.next().is_some_and(|index| index >= of_clipped || !replaced[index]));
         });
+        let luma = LUMA.as_dvec3();
+        self.observations.sort_unstable_by(|a, b| b.irradiance.dot(luma).total_cmp(&a.irradiance.dot(luma)));
+        self.observations.truncate(MOST_OBSERVATIONS);
     }
 }
 
@@ -184,10 +211,11 @@ impl LightMethod for Directional {
         let recovered = if self.panorama.is_hdr() { None } else { steps.time("recover", || self.recoverer.recover(&mut self.panorama)) };
         let statistics = steps.time("threshold", || self.statistics());
         steps.time("sh", || self.series.project(&self.panorama, &mut self.sh));
-        let clipped = recovered.is_some_and(|recovered| steps.time("clipped", || self.find_clipped(&statistics, &recovered)));
-        if !clipped {
-            self.find_candidates(&statistics, steps);
+        self.observations.clear();
+        if let Some(recovered) = &recovered {
+            steps.time("clipped", || self.find_clipped(&statistics, recovered));
         }
+        self.find_candidates(&statistics, recovered.as_ref(), steps);
         steps.time("track", || {
             self.coarse.take(&self.panorama);
             let view = View {
@@ -199,7 +227,10 @@ impl LightMethod for Directional {
             };
             self.tracker.track(&view, &mut self.estimate);
         });
-        self.estimate.lift = recovered.map_or(Lift::Linear, |recovered| Lift::Recovered(recovered.curve));
+        self.estimate.lift = match recovered {
+            _ if self.panorama.is_hdr() => Lift::Linear,
+            recovered => Lift::Recovered(recovered.map_or(UNCLIPPED, |recovered| recovered.curve)),
+        };
         self.estimate.hidden = recovered.map(|recovered| Hidden { share: recovered.hidden_share, sigma: recovered.sigma });
         self.estimate.mended = self.panorama.mended;
         Ok(&self.estimate)

@@ -14,6 +14,8 @@ mod candidates;
 mod cells;
 mod clipped;
 #[cfg(test)]
+mod clipped_forms;
+#[cfg(test)]
 mod closed_forms;
 mod cuts;
 mod directional;

@@ -2,7 +2,7 @@
 //! brings, stability over time, and the share of a core that large live frames take.
 //!
 //! Accuracy: `radiance_map` finds and splits the panoramas, `exposure` makes frames of them, `truth` says what is true,
-//! `irradiance`, `score` and `rendered` measure, `race` runs every method and the peers in turn, `oracle` says what no method can beat,
+//! `irradiance`, `score` and `rendered` measure, `race` runs every method and the peers in turn, `oracle` says what knowing the hidden energy is worth,
 //! `report` writes it down and `fronts` draws it. `speed` races live frames (`video_frame`) against the paper written plainly (`plain`) and
 //! in OpenCV, `resolution` varies the working panorama, `stability` runs sequences, `large_frames` is the last part. `peer` speaks with the programs of others, which
 //! `opencv` and `three` start.

@@ -75,7 +75,7 @@ pub(super) struct Names {
     pub(super) methods: Vec<String>,
     /// Methods by their number of lights.
     pub(super) sweeps: Vec<String>,
-    /// What no method can beat, in its place among those that the rows hold.
+    /// An oracle, in its place among those that the rows hold.
     pub(super) oracles: Vec<String>,
 }
 
@@ -173,7 +173,7 @@ pub(super) fn markdown(rows: &[Row], peers: &str, rounds: u32) -> String {
     let mut text = format!(
         "## Accuracy\n\nEvery cell is median (worst) over the panoramas of its half: even places of the alphabetical order to tune on, odd places \
          held out. Each panorama is given as it is (HDR), and as 8-bit sRGB whose white is a percentile of its luminance; what is true is the HDR \
-         panorama at the same scale. {peers}\n\nOracles are bounds and no methods: they are told the true energy of what is clipped, channel by \
+         panorama at the same scale. {peers}\n\nOracles are no methods: they are told the true energy of what is clipped, channel by \
          channel, and spread it evenly over all clipped pixels (`{}`) or over those of each connected region (`{}`); their irradiance is summed over \
          every pixel.\n",
         Oracle::Total.name(),

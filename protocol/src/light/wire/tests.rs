@@ -19,7 +19,7 @@ fn frame(lights: usize) -> LightFrame {
 }
 
 #[test]
-fn four_lights_fit_in_110_bytes_and_with_25_coefficients_in_160() {
+fn four_lights_fit_in_110_bytes_and_with_25_coefficients_in_170() {
     let mut four = frame(4);
     assert!(four.to_wire().unwrap().len() <= 110, "{} bytes", four.to_wire().unwrap().len());
     four.sh = vec![Vec3::splat(0.7); SH25];
@@ -69,9 +69,14 @@ fn curves_that_no_camera_asks_for_are_refused() {
         Recovery { slope: Vec3::splat(f32::INFINITY), ..sound },
         Recovery { slope: Vec3::new(0.0, f32::NAN, 0.0), ..sound },
         Recovery { slope: Vec3::new(0.0, -17.0, 0.0), ..sound },
+        Recovery { tint_ln: [100.0, 0.0], ..sound },
+        Recovery { tint_ln: [0.0, f32::NAN], ..sound },
     ] {
         let frame = LightFrame { lift: Lift::Recovered(recovery), ..frame(1) };
-        assert!(matches!(frame.to_wire(), Err(WireError::OutOfRange { field: "lift.gain_ln" | "lift.slope", .. })), "{recovery:?}");
+        assert!(
+            matches!(frame.to_wire(), Err(WireError::OutOfRange { field: "lift.gain_ln" | "lift.slope" | "lift.tint", .. })),
+            "{recovery:?}"
+        );
     }
     assert_eq!(Recovery { gain_ln: 6.0, slope: Vec3::Y * 9.0, ..sound }.gain(Vec3::Y), MAX_GAIN_LN.exp());
 }

@@ -230,8 +230,8 @@ impl Take<'_> {
             any_sr = simd.add_f32s(any_sr, any);
             flux = simd.add_f32s(flux, simd.mul_f32s(luminance, solid_angle_sr));
         }
-        for channel in 0..3 {
-            store(simd, &mut sums.open_rgb[channel], patch, open[channel]);
+        for (sums, open) in sums.open_rgb.iter_mut().zip(open) {
+            store(simd, sums, patch, open);
         }
         store(simd, &mut sums.all, patch, all_sr);
         store(simd, &mut sums.any, patch, any_sr);

@@ -40,7 +40,8 @@ const UNITS: [([f32; 4], f32, f32); 3] = [
     ([-0.727_52, 0.887_02, 0.737_62, 0.269_83], -1.767_44, 1.386_64),
 ];
 /// Logarithm of the spread: offset, and what the ground's brightness, the logarithm of the clipped share and the hidden share add.
-/// Fitted to the same panoramas by maximum likelihood; on the eight kept out, 70 % lie within one and all within two deviations.
+/// Fitted by maximum likelihood to what an earlier fit of the weights left on the same panoramas; on the eight that were held out, 70 % lay
+/// within one and all within two deviations.
 const SPREAD: [f32; 4] = [0.943_99, 0.074_94, 0.058_35, -1.592_43];
 /// Added to the clipped share before its logarithm is taken.
 const LEAST_SHARE: f32 = 0.003;

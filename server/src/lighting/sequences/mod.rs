@@ -1,7 +1,6 @@
 //! Synthetic panoramas over time whose light is known: what methods are held against, in tests and on charts.
 //!
-//! Discs of even radiance stand in a textured sky over a dark textured ground, which gives a method that recovers clipped light from the
-//! ground nothing to recover; one sequence has bright ground. Frames are 256×128, sRGB in 8 bits with seeded grain, or linear where a bound must
+//! Discs of even radiance stand in a textured sky over a dark textured ground, unless a sequence says otherwise. Frames are 256×128, sRGB in 8 bits with seeded grain, or linear where a bound must
 //! not depend on clipping. This module makes frames of scenes and says what is true of them; the sequences themselves are further down, by what
 //! they vary.
 

@@ -31,15 +31,16 @@ struct Sent {
     solid_angle_sr: f64,
 }
 
-/// Bands 3 and 4 are sent once band 4 makes up this share of the irradiance, root mean square over the sphere to mean, and no longer when it is
-/// below the second. Irradiance has no band 3 (Ramamoorthi & Hanrahan 2001). Half a per cent is a quarter of what is seen (Weber's 2 %).
-const WORTH: (f64, f64) = (0.004, 0.0025);
+/// Bands 3 and 4 are sent from the frame on in which band 4 makes up this share of the irradiance, root mean square over the sphere to mean: a
+/// fifth of what is seen (Weber's 2 %). Irradiance has no band 3 (Ramamoorthi & Hanrahan 2001). They go on until the next cut, so that nothing
+/// comes and goes with them.
+const WORTH: f64 = 0.004;
 
 /// Makes what is sent; the buffer is reused.
 #[derive(Default)]
 pub(super) struct Lights {
     sent: Vec<Sent>,
-    /// Whether bands 3 and 4 were sent last.
+    /// Whether bands 3 and 4 are sent.
     fine: bool,
 }
 
@@ -91,7 +92,7 @@ impl Lights {
         }
         estimate.sh.clear();
         let direct = self.sent.iter().map(|light| light.irradiance.dot(LUMA)).sum();
-        self.fine = sh.fourth_band_share(direct) > if self.fine { WORTH.1 } else { WORTH.0 };
+        self.fine |= sh.fourth_band_share(direct) > WORTH;
         estimate.sh.reserve(SH25);
         estimate.sh.extend(sh.0[..if self.fine { SH25 } else { SH9 }].iter().map(|coefficient| coefficient.as_vec3()));
         estimate.lights.clear();

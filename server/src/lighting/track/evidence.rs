@@ -7,7 +7,7 @@
 
 use glam::DVec3;
 
-use super::LUMA;
+use super::life::strength_ln;
 
 /// Standard deviation of the logarithm of a strength that is not clipped: grain and compression.
 const UNCLIPPED: f64 = 0.02;
@@ -23,7 +23,6 @@ const WAVER: f64 = 0.25;
 /// And by up to this part of the difference of their exposures, both as logarithms: white stays white when the exposure doubles, and a guess
 /// in proportion to it halves.
 const EXPOSED: f64 = 1.0;
-
 /// Time constant by which a better guess is taken: a guess that comes by a step need not go into the light by one.
 const TAKEN_S: f64 = 0.2;
 
@@ -77,13 +76,9 @@ impl Evidence {
     }
 }
 
-/// Logarithm of the luminance of such an intensity.
-fn strength_ln(intensity: DVec3) -> f64 {
-    intensity.exp().dot(LUMA).ln()
-}
-
 #[cfg(test)]
 mod tests {
+    use super::super::LUMA;
     use super::*;
 
     const DT_S: f64 = 1.0 / 30.0;
@@ -119,7 +114,7 @@ mod tests {
         near(after(Evidence::new(grey(5.0 * 1.08), 0.4, 0.0)), 5.0);
         near(after(Evidence::new(grey(10.0), 0.4, 0.0)), 10.0);
         near(after(Evidence::new(grey(2.5), 0.4, 0.0)), 2.5);
-        // Unless the exposure has doubled twice since; then half is hidden, and half of 10 shown.
+        // Unless the exposure has doubled twice since.
         near(after(Evidence::new(grey(9.0), 0.45, 4f64.ln())), 5.0);
         near(after(Evidence::new(grey(3.0), 0.45, 4f64.ln())), 5.0);
         // What is much surer counts, what is less sure does not.

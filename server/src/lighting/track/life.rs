@@ -104,7 +104,8 @@ impl Track {
         let known = self.evidence.take(&evidence(&seen, gains), seen.hidden_share, dt_s);
         self.intensity.observe(&INTENSITY, known, dt_s);
         // What is known to be stronger than it looks has a larger share.
-        let ratio = (strength_ln(known) - strength_ln(canonical(seen.irradiance, gains))).exp().max(1.0);
+        // The share of a guess reaches up a standard deviation already.
+        let ratio = (strength_ln(known) - strength_ln(canonical(seen.irradiance, gains)) - seen.sigma).exp().max(1.0);
         let share = seen.share * ratio / (1.0 + seen.share * (ratio - 1.0));
         self.solid_angle_ln += (1.0 - (-dt_s / WIDTH_S).exp()) * (seen.solid_angle_sr.ln() - self.solid_angle_ln);
         (self.share, self.seen) = (share, Some(seen));

@@ -38,6 +38,8 @@ const DIRECTION: Manner = Manner { gate: 0.0035, leap: 0.035, fastest: 4.0, supp
 /// Angle and logarithmic strength that cost an assignment as much as each other.
 const ANGLE_UNIT: f64 = 0.0873;
 const STRENGTH_UNIT: f64 = 1.0;
+/// Standard deviations of a clipped light's strength that count as one unit of it.
+const GUESS_UNITS: f64 = 2.0;
 /// Cost from which on two are not the same light: 10° off, or seven times as strong.
 const GATE_COST: f64 = 4.0;
 /// Gaps longer than this say nothing about where lights have gone: as after a cut.
@@ -168,7 +170,9 @@ impl Tracker {
             let unit = ANGLE_UNIT + 0.5 * track.radius();
             for (cost, seen) in row.iter_mut().zip(view.observations) {
                 let angle = 2.0 * (0.5 * (seen.direction - direction).length()).min(1.0).asin() / unit;
-                let ratio = (life::strength_ln(life::canonical(seen.irradiance, gains)) - strength) / STRENGTH_UNIT;
+                // A guess may be several of its deviations off and still be of the same light.
+                let unit_ln = STRENGTH_UNIT.hypot(GUESS_UNITS * seen.sigma);
+                let ratio = (life::strength_ln(life::canonical(seen.irradiance, gains)) - strength) / unit_ln;
                 *cost = (angle * angle + ratio * ratio).min(GATE_COST);
             }
         }
