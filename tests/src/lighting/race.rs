@@ -21,6 +21,8 @@ use crate::samples::percentile;
 pub(super) const SWEPT_LIGHTS: [usize; 7] = [1, 2, 4, 8, 16, 32, 64];
 /// Methods that are swept.
 pub(super) const SWEPT: [&str; 3] = ["median-cut", "variance-cut", "k-means"];
+/// Time between the frames of a race: a method that follows its lights is to do so.
+pub(super) const FRAME_US: u64 = 33_333;
 /// The paper's method, in whose time others are told.
 pub(super) const REFERENCE: &str = "mr360";
 
@@ -79,11 +81,11 @@ pub(super) fn run(files: &[PathBuf], specs: &[MethodSpec], peers: &mut [Peer], r
         eprintln!("lighting: {panorama} ({} of {})", place + 1, files.len());
         let map = RadianceMap::load(path)?;
         let truth = Truth::of(&map, &normals);
-        let takes = takes(&map).with_context(|| path.display().to_string())?;
+        let mut takes = takes(&map).with_context(|| path.display().to_string())?;
         let maps: Vec<&RadianceMap> = std::iter::once(&map).chain(takes.iter().flat_map(Take::maps)).collect();
         let mut pictures = stage.under_all(&maps).into_iter();
         let truly = pictures.next().unwrap_or_default();
-        for Take { exposure, taken, answers } in &takes {
+        for Take { exposure, taken, answers } in &mut takes {
             let exposure = *exposure;
             let raced = race(taken, &map, specs, peers, rounds).with_context(|| path.display().to_string())?;
             let reference = raced.iter().find(|entrant| entrant.method == REFERENCE).map_or(f64::NAN, Entrant::time_ms);
@@ -162,7 +164,7 @@ impl Entrant {
 
 /// Round by round every method once, so that whatever else the machine does meets all of them alike. The first round warms
 /// up and is not counted. The light is that of the last round: what a still scene settles to.
-fn race(taken: &Taken, map: &RadianceMap, specs: &[MethodSpec], peers: &mut [Peer], rounds: u32) -> Result<Vec<Entrant>> {
+fn race(taken: &mut Taken, map: &RadianceMap, specs: &[MethodSpec], peers: &mut [Peer], rounds: u32) -> Result<Vec<Entrant>> {
     let mut methods: Vec<Box<dyn LightMethod>> = specs.iter().map(|spec| spec.make()).collect();
     let mut entrants: Vec<Entrant> = specs.iter().map(|spec| Entrant { method: spec.to_string(), ..Entrant::default() }).collect();
     let mut guests = Vec::new();
@@ -173,6 +175,7 @@ fn race(taken: &Taken, map: &RadianceMap, specs: &[MethodSpec], peers: &mut [Pee
         }
     }
     for round in 0..=rounds {
+        taken.frame.pts_us = u64::from(round) * FRAME_US;
         for (method, entrant) in methods.iter_mut().zip(&mut entrants) {
             let started = Instant::now();
             let estimate = method.estimate(&taken.frame, &mut StepTimes::default()).with_context(|| entrant.method.clone())?;

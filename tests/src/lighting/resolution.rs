@@ -10,6 +10,7 @@ use mr360_server::lighting::{LightMethod, MethodSpec, StepTimes};
 
 use super::exposure::Exposure;
 use super::irradiance::Normals;
+use super::race::FRAME_US;
 use super::radiance_map::{Half, RadianceMap};
 use super::report::{directions, per_cent, spread};
 use super::score::{Dominant, Light, Score};
@@ -65,7 +66,7 @@ fn measure(path: &Path, half: Half, rounds: u32) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for exposure in EXPOSURES {
         let scale = exposure.scale(&map)?;
-        let frame = match exposure {
+        let mut frame = match exposure {
             Exposure::Hdr => exposure.take(&map)?.frame,
             Exposure::Ldr(_) => VideoFrame::of(&map, scale)?.frame,
         };
@@ -73,6 +74,7 @@ fn measure(path: &Path, half: Half, rounds: u32) -> Result<Vec<Row>> {
         let mut times = vec![Vec::new(); methods.len()];
         let mut lights = vec![Light::default(); methods.len()];
         for round in 0..=rounds {
+            frame.pts_us = u64::from(round) * FRAME_US;
             for (((method, width, made), times), light) in methods.iter_mut().zip(&mut times).zip(&mut lights) {
                 let started = Instant::now();
                 let estimate = made.estimate(&frame, &mut StepTimes::default()).with_context(|| format!("{method} at {width}"))?;

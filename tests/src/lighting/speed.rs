@@ -11,6 +11,7 @@ use mr360_server::lighting::{LightMethod, MethodSpec, StepTimes};
 
 use super::exposure::Exposure;
 use super::peer::Peer;
+use super::race::FRAME_US;
 use super::radiance_map::RadianceMap;
 use super::video_frame::{SIZE, VideoFrame};
 use super::{Options, name, opencv, plain};
@@ -65,12 +66,13 @@ pub(super) fn run(options: &Options, files: &[PathBuf], mut opencv: Option<&mut 
 /// finds in the caches what the others have pushed out. Peers are handed the frame anew each time, which is not timed.
 fn race(path: &Path, specs: &[MethodSpec], mut opencv: Option<&mut Peer>, rounds: u32) -> Result<Vec<Times>> {
     let map = RadianceMap::load(path)?;
-    let video = VideoFrame::of(&map, EXPOSURE.scale(&map)?)?;
+    let mut video = VideoFrame::of(&map, EXPOSURE.scale(&map)?)?;
     let mut methods: Vec<(MethodSpec, Box<dyn LightMethod>)> = specs.iter().map(|spec| (*spec, spec.make())).collect();
     let peers: &[&str] = if opencv.is_some() { &[opencv::NAME, OPENCV_PLANAR] } else { &[] };
     let names = specs.iter().map(ToString::to_string).chain(peers.iter().chain(&[plain::NAME]).map(|name| (*name).to_owned()));
     let mut times: Vec<Times> = names.map(|name| Times { name, panorama: super::name(path), rounds_ms: Vec::new() }).collect();
     for round in 0..=rounds {
+        video.frame.pts_us = u64::from(round) * FRAME_US;
         let mut elapsed_ms = Vec::with_capacity(times.len());
         for (spec, method) in &mut methods {
             let started = Instant::now();

@@ -84,12 +84,4 @@ mod tests {
         let mut peer = Peer::start(introduction, Command::new("sh").args(["-c", even])).unwrap();
         assert!(check(&mut peer).unwrap_err().to_string().contains("conventions"));
     }
-
-    #[test]
-    #[ignore = "needs Node, and in MR360_THREE a folder in which `npm install three` was run"]
-    fn three_has_our_conventions() {
-        let folder = std::env::var_os("MR360_THREE").unwrap();
-        let peer = start(Path::new("node"), Path::new(&folder)).unwrap();
-        assert!(peer.version().starts_with("three.js r"));
-    }
 }
