@@ -88,7 +88,7 @@ fn damaged_files_are_analysed_or_refused() {
         codes[check(&output, what, &path) as usize] += 1;
         for line in String::from_utf8_lossy(&output.stdout).lines() {
             let frame: serde_json::Value = serde_json::from_str(line).unwrap_or_else(|error| panic!("{what}: {error}: {line}"));
-            assert_eq!(frame["sh"].as_array().map(Vec::len), Some(9), "{what}");
+            assert!(frame["sh"].as_array().is_some_and(|sh| [9, 25].contains(&sh.len())), "{what}");
             lit += 1;
         }
     });
