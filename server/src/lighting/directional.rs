@@ -37,6 +37,8 @@ const LAST_SHARE: f64 = 0.02;
 
 /// A region that stands out is left to its clipped parts when they make up more than this share of it.
 const MOSTLY: f64 = 0.5;
+/// A region has its core where its strongest clipped part is when they make up at least this share of it.
+const CORE: f64 = 0.1;
 /// The curve of an LDR frame in which nothing is clipped: no gain to speak of. Viewers then have one kind of curve for the whole stream.
 const UNCLIPPED: Recovery = Recovery { gain_ln: -MAX_GAIN_LN, slope: Vec3::ZERO, tint_ln: [0.0; 2] };
 
@@ -162,14 +164,18 @@ impl Directional {
                 if clipped > MOSTLY {
                     continue;
                 }
+                let mut core = None;
                 if clipped > 0.0 {
-                    for (replaced, texel) in replaced.iter_mut().zip(self.clipped.texels()) {
-                        *replaced |= Candidates::holds(candidate, &self.regions, texel);
+                    let parts = replaced.iter_mut().zip(self.clipped.texels()).zip(&self.observations);
+                    for ((replaced, _), part) in parts.filter(|((_, texel), _)| Candidates::holds(candidate, &self.regions, *texel)) {
+                        *replaced = true;
+                        core = core.or((clipped >= CORE).then_some(part.direction));
                     }
                 }
+                let core = core.unwrap_or_else(|| Candidates::core(candidate, &self.panorama, &self.regions, LUMA, threshold));
                 let sigma = recovered.map_or(0.0, |recovered| f64::from(recovered.sigma) * hidden_share);
                 self.observations.push(Observation {
-                    direction: Candidates::core(candidate, &self.panorama, &self.regions, LUMA, threshold),
+                    direction: core,
                     irradiance: candidate.irradiance,
                     solid_angle_sr: candidate.effective_solid_angle_sr(),
                     share: clipped::likely_share(candidate.strength, statistics.energy, sigma),
