@@ -154,7 +154,7 @@ pub(super) fn likely_share(strength: f64, energy: f64, sigma: f64) -> f64 {
 /// What stands out of the mean in one region.
 fn measure(sky: &Sky<'_>, members: &[u32]) -> Region {
     let mut sum = Region {
-        texel: 0,
+        texel: members.first().copied().unwrap_or_default(),
         irradiance: DVec3::ZERO,
         strength: 0.0,
         moment: DVec3::ZERO,
@@ -163,7 +163,6 @@ fn measure(sky: &Sky<'_>, members: &[u32]) -> Region {
         hidden: 0.0,
     };
     let width = sky.panorama.size.width as usize;
-    sum.texel = members.first().copied().unwrap_or_default();
     for texel in members {
         let texel = *texel as usize;
         let radiance = sky.panorama.radiance(texel);

@@ -6,7 +6,7 @@ use mr360_protocol::video::Transfer;
 use mr360_shaders::colour::{luminance, recovered, srgb_decode, srgb_encode};
 use mr360_shaders::equirect::{direction_from_uv, pixel_solid_angle_sr};
 
-use super::closed_forms::{Disc, degrees, sky};
+use super::closed_forms::{Disc, degrees, energy, sky};
 use super::{Directional, Estimate, LightMethod, StepTimes};
 use crate::frame::{Frame, Pixels};
 
@@ -29,11 +29,6 @@ fn energy_under(lift: Lift, frame: &Frame) -> DVec3 {
         recovered(&curve, direction, linear).as_dvec3() * f64::from(pixel_solid_angle_sr(y, *width, *height))
     };
     texels.iter().enumerate().map(energy).sum()
-}
-
-fn energy(estimate: &Estimate) -> DVec3 {
-    let lights: DVec3 = estimate.lights.iter().map(|light| light.irradiance.as_dvec3()).sum();
-    lights + estimate.sh[0].as_dvec3() * (4.0 * std::f64::consts::PI).sqrt()
 }
 
 #[test]

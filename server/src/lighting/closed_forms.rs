@@ -113,7 +113,7 @@ pub(super) fn irradiance(estimate: &Estimate, normal: Vec3) -> Vec3 {
 }
 
 /// Energy over the whole sphere: the lights' irradiance and the SH's mean times 4π.
-fn energy(estimate: &Estimate) -> DVec3 {
+pub(super) fn energy(estimate: &Estimate) -> DVec3 {
     let lights: DVec3 = estimate.lights.iter().map(|light| light.irradiance.as_dvec3()).sum();
     lights + estimate.sh[0].as_dvec3() * (4.0 * std::f64::consts::PI).sqrt()
 }

@@ -1,7 +1,7 @@
 //! Exponential, logarithm and hyperbolic tangent that a loop makes several of at once.
 //!
 //! Those of the system's library are good to the last bit and are called one by one, which costs more than all else that is done with
-//! them. These are good to a few millionths and nothing but sums, products and shifts, so that a plain loop over them is compiled for
+//! them. These are good to less than a millionth and nothing but sums, products and shifts, so that a plain loop over them is compiled for
 //! vectors; they are the same on every processor.
 
 use std::f32::consts::{LN_2, LOG2_E};

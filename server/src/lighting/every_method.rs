@@ -9,6 +9,7 @@ use mr360_shaders::colour::luminance;
 use mr360_shaders::equirect::pixel_solid_angle_sr;
 use mr360_shaders::sh;
 
+use super::closed_forms::degrees;
 use super::sequences::Noise;
 use super::test_skies::{Disc, energy, estimate_with, frame, irradiance, normals, sky};
 use super::{Estimate, LightMethod, MethodSpec};
@@ -27,10 +28,6 @@ fn all() -> impl Iterator<Item = Box<dyn LightMethod>> {
 /// The methods that place a number of lights over the whole sphere.
 fn placing(count: usize) -> [Box<dyn LightMethod>; 3] {
     ["median-cut", "variance-cut", "k-means"].map(|name| make(&format!("{name}:{count}")))
-}
-
-fn degrees(a: Vec3, b: Vec3) -> f32 {
-    2.0 * ((a - b).length() / 2.0).asin().to_degrees()
 }
 
 fn relative(got: Vec3, expected: Vec3) -> f32 {

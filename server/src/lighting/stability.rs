@@ -5,6 +5,7 @@ use mr360_protocol::light::DirectionalLight;
 use mr360_shaders::equirect::pixel_solid_angle_sr;
 use mr360_shaders::sh;
 
+use super::closed_forms::degrees;
 use super::sequences::{self, SURFACES, Sequence, Truth};
 use super::{Directional, Estimate, LightMethod, StepTimes};
 use crate::frame::Pixels;
@@ -31,10 +32,6 @@ fn comings_and_goings(rows: &[Row]) -> usize {
     let lacks = |lights: &[DirectionalLight], id| !lights.iter().any(|light| light.id == id);
     let pairs = rows.windows(2).map(|pair| (&pair[0].estimate.lights, &pair[1].estimate.lights));
     pairs.map(|(a, b)| a.iter().filter(|l| lacks(b, l.id)).count() + b.iter().filter(|l| lacks(a, l.id)).count()).sum()
-}
-
-fn degrees(a: Vec3, b: Vec3) -> f32 {
-    2.0 * ((a - b).length() / 2.0).asin().to_degrees()
 }
 
 fn rms(values: impl IntoIterator<Item = f32>) -> f32 {
