@@ -145,7 +145,6 @@ mod tests {
     use bytes::Bytes;
     use mr360_protocol::clock::ServerTime;
     use mr360_protocol::transport;
-    use mr360_protocol::video::{Colour, StereoLayout};
 
     #[tokio::test]
     async fn media_without_a_track_are_errors_and_a_failed_start_leaves_none() {
@@ -156,15 +155,7 @@ mod tests {
         let packet = AudioPacket { pts_us: 0, data: Bytes::from_static(&[1, 2, 3]) };
         assert!(matches!(media.video(&unit), Err(MediaError::NoTrack("video"))));
         assert!(matches!(media.audio(&packet), Err(MediaError::NoTrack("audio"))));
-        let video = VideoInfo {
-            codec: VideoCodec::H264,
-            width: 256,
-            height: 128,
-            frame_rate: 10.0,
-            stereo: StereoLayout::Mono,
-            colour: Colour::default(),
-            transcoded_because: None,
-        };
+        let video = VideoInfo::small();
         // An AudioSpecificConfig has two bytes at least.
         let audio = AudioInfo { codec: AudioCodec::Aac, sample_rate: 44_100, channels: 2, description: Bytes::from_static(&[0]) };
         media.start(&video, Some(&audio)).unwrap_err();

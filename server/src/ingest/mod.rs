@@ -165,6 +165,22 @@ pub struct VideoInfo {
     pub transcoded_because: Option<String>,
 }
 
+#[cfg(test)]
+impl VideoInfo {
+    /// A small H.264 stream, for tests of what comes after ingest.
+    pub(crate) fn small() -> Self {
+        Self {
+            codec: VideoCodec::H264,
+            width: 256,
+            height: 128,
+            frame_rate: 10.0,
+            stereo: StereoLayout::Mono,
+            colour: Colour::default(),
+            transcoded_because: None,
+        }
+    }
+}
+
 /// The broadcast audio.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AudioInfo {

@@ -141,23 +141,14 @@ impl Sink for DataPath {
 mod tests {
     use super::*;
     use crate::broadcast::Broadcast;
-    use crate::ingest::{AudioCodec, VideoCodec};
+    use crate::ingest::AudioCodec;
     use crate::lighting::MethodSpec;
     use bytes::Bytes;
     use mr360_protocol::transport;
-    use mr360_protocol::video::{Colour, StereoLayout};
 
     /// Formats on air; an AudioSpecificConfig of one byte is too short to be understood.
     fn started(understood: bool) -> IngestEvent {
-        let video = VideoInfo {
-            codec: VideoCodec::H264,
-            width: 256,
-            height: 128,
-            frame_rate: 10.0,
-            stereo: StereoLayout::Mono,
-            colour: Colour::default(),
-            transcoded_because: None,
-        };
+        let video = VideoInfo::small();
         let description = Bytes::from_static(if understood { &[0x11, 0x90] } else { &[0] });
         IngestEvent::Started(video, Some(AudioInfo { codec: AudioCodec::Aac, sample_rate: 48_000, channels: 2, description }))
     }
