@@ -1,7 +1,6 @@
 //! Regions brighter than a threshold as candidates for lights, and what is left once the chosen ones are out.
 
 use glam::{DVec3, Vec3};
-use mr360_shaders::colour::LUMA;
 
 use super::panorama::Panorama;
 use super::regions::Regions;
@@ -29,6 +28,16 @@ impl Candidate {
     pub(super) fn effective_solid_angle_sr(&self) -> f64 {
         self.strength * self.strength / self.concentration
     }
+
+    /// Half angle of that disc, radians.
+    pub(super) fn radius(&self) -> f64 {
+        half_angle(self.effective_solid_angle_sr())
+    }
+}
+
+/// Half angle of a disc of this solid angle, radians.
+pub(super) fn half_angle(solid_angle_sr: f64) -> f64 {
+    (1.0 - solid_angle_sr / std::f64::consts::TAU).clamp(-1.0, 1.0).acos()
 }
 
 /// Reach of a candidate's core in radii of its effective solid angle.
@@ -57,7 +66,7 @@ impl Candidates {
     /// Regions without any excess over the threshold are left out.
     pub(super) fn collect(&mut self, panorama: &Panorama, regions: &Regions, luma: Vec3, threshold: f32) {
         self.list.clear();
-        self.list.extend(regions.iter().enumerate().map(|(region, members)| measure(panorama, region, members, luma, threshold)));
+        self.list.extend(regions.iter().enumerate().map(|(region, members)| measure(panorama, region, members.iter(), luma, threshold)));
         self.list.retain(|candidate| candidate.strength > 0.0);
         self.list.sort_unstable_by(|a, b| b.strength.total_cmp(&a.strength));
     }
@@ -67,39 +76,39 @@ impl Candidates {
         &self.list
     }
 
-    /// Strength of a candidate's texels that are clipped by more than `inside`, and what of its strength is above display white: shares of it.
-    pub(super) fn clipped(
+    /// A candidate without its texels of which `left_out` is true.
+    pub(super) fn without(
         candidate: &Candidate,
         panorama: &Panorama,
         regions: &Regions,
-        degree: &[f32],
-        inside: f32,
+        luma: Vec3,
         threshold: f32,
-    ) -> (f64, f64) {
-        let width = panorama.size.width as usize;
-        let (mut clipped, mut hidden) = (0.0, 0.0);
-        for texel in regions.members(candidate.region) {
-            let texel = *texel as usize;
-            let luminance = panorama.radiance(texel).dot(LUMA);
-            let solid_angle_sr = f64::from(panorama.geometry.solid_angle_sr[texel / width]);
-            clipped += if degree[texel] > inside { f64::from((luminance - threshold).max(0.0)) * solid_angle_sr } else { 0.0 };
-            hidden += if degree[texel] > 0.0 { f64::from((luminance - threshold.max(1.0)).max(0.0)) * solid_angle_sr } else { 0.0 };
-        }
-        (clipped / candidate.strength, (hidden / candidate.strength).min(1.0))
+        left_out: impl Fn(usize) -> bool,
+    ) -> Candidate {
+        let members = regions.members(candidate.region).iter().filter(|texel| !left_out(**texel as usize));
+        measure(panorama, candidate.region, members, luma, threshold)
     }
 
-    /// Whether a candidate's region holds this texel.
-    pub(super) fn holds(candidate: &Candidate, regions: &Regions, texel: u32) -> bool {
-        regions.members(candidate.region).contains(&texel)
+    /// The texels of a candidate's region.
+    pub(super) fn members<'a>(candidate: &Candidate, regions: &'a Regions) -> &'a [u32] {
+        regions.members(candidate.region)
     }
 
     /// Direction of a candidate's core, where shadows come from: the centroid of what lies within twice the radius of its effective solid angle,
     /// found by mean shift from the centroid of all (Comaniciu & Meer 2002). An even disc is its own core; of a sun that runs together with a
-    /// bright cloud, or a lamp with a window, it is the sun or the lamp. The rest of the region's dipole stays in the SH.
-    pub(super) fn core(candidate: &Candidate, panorama: &Panorama, regions: &Regions, luma: Vec3, threshold: f32) -> DVec3 {
+    /// bright cloud, or a lamp with a window, it is the sun or the lamp. The rest of the region's dipole stays in the SH. Texels of which
+    /// `left_out` is true have no say.
+    pub(super) fn core(
+        candidate: &Candidate,
+        panorama: &Panorama,
+        regions: &Regions,
+        luma: Vec3,
+        threshold: f32,
+        left_out: impl Fn(usize) -> bool,
+    ) -> DVec3 {
         // Texels of one hemisphere cannot cancel out, except on its rim; straight up is as good as any then.
         let mut core = candidate.direction.try_normalize().unwrap_or(DVec3::Y);
-        let radius = (1.0 - candidate.effective_solid_angle_sr() / std::f64::consts::TAU).clamp(-1.0, 1.0).acos();
+        let radius = candidate.radius();
         let width = panorama.size.width as usize;
         let cosine = (CORE_RADII * radius).min(std::f64::consts::PI).cos() as f32;
         for _ in 0..SHIFTS {
@@ -107,7 +116,7 @@ impl Candidates {
             for texel in regions.members(candidate.region) {
                 let texel = *texel as usize;
                 let direction = panorama.geometry.direction(texel / width, texel % width);
-                if direction.dot(towards) >= cosine {
+                if direction.dot(towards) >= cosine && !left_out(texel) {
                     let excess = (panorama.radiance(texel).dot(luma) - threshold).max(0.0);
                     sum += direction.as_dvec3() * f64::from(excess * panorama.geometry.solid_angle_sr[texel / width]);
                 }
@@ -129,7 +138,7 @@ impl Candidates {
     }
 }
 
-fn measure(panorama: &Panorama, region: usize, members: &[u32], luma: Vec3, threshold: f32) -> Candidate {
+fn measure<'a>(panorama: &Panorama, region: usize, members: impl Iterator<Item = &'a u32>, luma: Vec3, threshold: f32) -> Candidate {
     let mut sum = Candidate {
         region,
         irradiance: DVec3::ZERO,

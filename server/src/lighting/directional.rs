@@ -7,11 +7,12 @@
 //! the frame, and lights that are followed over time ([`super::track`]): what a frame shows is an observation, what is sent
 //! keeps its identity, moves and fades.
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use mr360_protocol::light::{Lift, MAX_GAIN_LN, Recovery, SH25};
 use mr360_shaders::colour::{LUMA, recovery_tint};
 use mr360_shaders::sh::basis25;
 
+use super::bright::{Bright, Scene};
 use super::candidates::Candidates;
 use super::clipped::{self, Clipped, Sky};
 use super::panorama::Panorama;
@@ -35,10 +36,6 @@ const LEAST_SHARE: f64 = 0.04;
 /// (Weber's 2 %), and fades there. Half of [`LEAST_SHARE`], so that nothing short of a halving makes a light come and go.
 const LAST_SHARE: f64 = 0.02;
 
-/// A region that stands out is left to its clipped parts when they make up more than this share of it.
-const MOSTLY: f64 = 0.5;
-/// A region has its core where its strongest clipped part is when they make up at least this share of it.
-const CORE: f64 = 0.1;
 /// The curve of an LDR frame in which nothing is clipped: no gain to speak of. Viewers then have one kind of curve for the whole stream.
 const UNCLIPPED: Recovery = Recovery { gain_ln: -MAX_GAIN_LN, slope: Vec3::ZERO, tint_ln: [0.0; 2] };
 
@@ -52,6 +49,7 @@ pub struct Directional {
     regions: Regions,
     candidates: Candidates,
     clipped: Clipped,
+    bright: Bright,
     observations: Vec<Observation>,
     coarse: Coarse,
     tracker: Tracker,
@@ -77,6 +75,7 @@ impl Directional {
             regions: Regions::new(width, upper_rows),
             candidates: Candidates::new(most_regions(width, upper_rows)),
             clipped: Clipped::new(most_regions(width, upper_rows)),
+            bright: Bright::new(),
             observations: Vec::with_capacity(2 * MOST_OBSERVATIONS),
             coarse: Coarse::default(),
             tracker: Tracker::new(Bounds { birth: LEAST_SHARE, death: LAST_SHARE, lights: MOST_LIGHTS }),
@@ -124,71 +123,50 @@ impl Directional {
         Statistics { mean, deviation, peak: f64::from(peak), energy: first }
     }
 
-    /// Observations of what is clipped in the sky; what is moved between them is moved in the SH, too.
-    fn find_clipped(&mut self, statistics: &Statistics, recovered: &Recovered) {
-        let clipped = &self.recoverer.clipped()[..self.luminance.len()];
-        self.regions.find(self.panorama.size.width as usize, clipped, Topology::Panorama, |degree| degree > clipped::INSIDE);
+    /// Observations of what is clipped in the upper hemisphere and of what else stands out of it. What is moved between them is moved in the SH, too.
+    fn observe(&mut self, statistics: &Statistics, recovered: Option<&Recovered>, steps: &mut StepTimes) {
+        let width = self.panorama.size.width as usize;
+        let degree = &self.recoverer.clipped()[..self.luminance.len()];
+        let curve = recovered.map(|recovered| recovered.curve);
         let sky = Sky {
             panorama: &self.panorama,
-            clipped,
+            clipped: degree,
+            density: self.recoverer.density(),
             mean: statistics.mean,
             energy: statistics.energy,
-            tint: recovery_tint(&recovered.curve),
-            sigma: recovered.sigma,
+            tint: curve.map_or(Vec3::ONE, |curve| recovery_tint(&curve)),
+            sigma: recovered.map_or(0.0, |recovered| recovered.sigma),
         };
-        let sh = &mut self.sh;
-        self.clipped.observe(&sky, &self.regions, &mut self.observations, |direction, irradiance| {
-            sh.iter_mut().zip(basis25(direction)).for_each(|(sum, basis)| *sum += irradiance.as_vec3() * basis);
-        });
-    }
-
-    /// Observations of what else stands out. Where a region is clipped for the most part, its clipped parts stand for it; where it is not, it
-    /// stands for them.
-    fn find_candidates(&mut self, statistics: &Statistics, recovered: Option<&Recovered>, steps: &mut StepTimes) {
+        self.clipped.clear();
+        if recovered.is_some() {
+            steps.time("clipped", || {
+                self.regions.find(width, degree, Topology::Panorama, |degree| degree > clipped::INSIDE);
+                self.clipped.measure(&sky, &self.regions);
+            });
+        }
         let threshold = statistics.threshold();
-        let width = self.panorama.size.width as usize;
         steps.time("regions", || {
             self.regions.find(width, &self.luminance, Topology::Panorama, |luminance| luminance > threshold);
         });
         steps.time("candidates", || {
             self.candidates.collect(&self.panorama, &self.regions, LUMA, threshold);
-            let of_clipped = self.observations.len();
-            let mut replaced = [false; MOST_OBSERVATIONS];
-            for candidate in self.candidates.list().iter().take(MOST_OBSERVATIONS) {
-                let (mut clipped, mut hidden_share) = (0.0, 0.0);
-                if recovered.is_some() {
-                    let degree = self.recoverer.clipped();
-                    (clipped, hidden_share) =
-                        Candidates::clipped(candidate, &self.panorama, &self.regions, degree, clipped::INSIDE, threshold);
-                }
-                if clipped > MOSTLY {
-                    continue;
-                }
-                let mut core = None;
-                if clipped > 0.0 {
-                    let parts = replaced.iter_mut().zip(self.clipped.texels()).zip(&self.observations);
-                    for ((replaced, _), part) in parts.filter(|((_, texel), _)| Candidates::holds(candidate, &self.regions, *texel)) {
-                        *replaced = true;
-                        core = core.or((clipped >= CORE).then_some(part.direction));
-                    }
-                }
-                let core = core.unwrap_or_else(|| Candidates::core(candidate, &self.panorama, &self.regions, LUMA, threshold));
-                let sigma = recovered.map_or(0.0, |recovered| f64::from(recovered.sigma) * hidden_share);
-                self.observations.push(Observation {
-                    direction: core,
-                    irradiance: candidate.irradiance,
-                    solid_angle_sr: candidate.effective_solid_angle_sr(),
-                    share: clipped::likely_share(candidate.strength, statistics.energy, sigma),
-                    hidden_share,
-                    sigma,
-                });
-            }
-            let mut index = 0..;
-            self.observations.retain(|_| index.next().is_some_and(|index| index >= of_clipped || !replaced[index]));
+            let scene = Scene {
+                panorama: &self.panorama,
+                regions: &self.regions,
+                clipped: recovered.map(|_| degree),
+                threshold,
+                energy: statistics.energy,
+                tint: sky.tint,
+                sigma: f64::from(sky.sigma),
+            };
+            let sh = &mut self.sh;
+            let mut moved = |direction: Vec3, irradiance: DVec3| {
+                sh.iter_mut().zip(basis25(direction)).for_each(|(sum, basis)| *sum += irradiance.as_vec3() * basis);
+            };
+            let given = self.bright.measure(&scene, self.candidates.list(), self.clipped.pooled(), &mut moved);
+            self.clipped.observe(&sky, given, &mut self.observations, &mut moved);
+            self.bright.observe(&scene, &self.clipped, &mut self.observations);
         });
-        let luma = LUMA.as_dvec3();
-        self.observations.sort_unstable_by(|a, b| b.irradiance.dot(luma).total_cmp(&a.irradiance.dot(luma)));
-        self.observations.truncate(MOST_OBSERVATIONS);
     }
 }
 
@@ -217,11 +195,7 @@ impl LightMethod for Directional {
         let recovered = if self.panorama.is_hdr() { None } else { steps.time("recover", || self.recoverer.recover(&mut self.panorama)) };
         let statistics = steps.time("threshold", || self.statistics());
         steps.time("sh", || self.series.project(&self.panorama, &mut self.sh));
-        self.observations.clear();
-        if let Some(recovered) = &recovered {
-            steps.time("clipped", || self.find_clipped(&statistics, recovered));
-        }
-        self.find_candidates(&statistics, recovered.as_ref(), steps);
+        self.observe(&statistics, recovered.as_ref(), steps);
         steps.time("track", || {
             self.coarse.take(&self.panorama);
             let view = View {

@@ -10,6 +10,7 @@ use mr360_protocol::light::{DirectionalLight, Lift, SH25};
 use crate::frame::Frame;
 
 mod averages;
+mod bright;
 mod candidates;
 mod cells;
 mod clipped;

@@ -105,6 +105,11 @@ impl Recoverer {
         &self.cells.clipped
     }
 
+    /// How much of what lies around each texel of the last panorama, within [`RIM_DEG`], is clipped.
+    pub(super) fn density(&self) -> Density<'_> {
+        Density { share: &self.rim, columns: self.cells.columns, side: self.cells.side }
+    }
+
     /// Logarithm of hidden over shown luminance of every cell that holds any clipped texel.
     fn describe(&mut self) {
         let cells = &self.cells;
@@ -122,6 +127,33 @@ impl Recoverer {
             self.gains[*cell as usize] = *gain;
         }
         self.arch.dispatch(Brighten { recoverer: self, panorama, tint: recovery_tint(curve) })
+    }
+}
+
+/// A field over the cells, read at texels.
+#[derive(Clone, Copy)]
+pub(super) struct Density<'a> {
+    share: &'a [f32],
+    columns: usize,
+    /// Texels along one side of a cell.
+    side: usize,
+}
+
+impl Density<'_> {
+    /// Between the middles of the cells, so that it has no steps.
+    pub(super) fn at(&self, row: usize, column: usize) -> f32 {
+        let rows = self.share.len() / self.columns;
+        let along = |texel: usize| (texel as f32 + 0.5) / self.side as f32 - 0.5;
+        let (x, y) = (along(column), along(row).clamp(0.0, (rows - 1) as f32));
+        let (left, above) = (x.floor(), y.floor());
+        let columns = [left as i64, left as i64 + 1].map(|column| column.rem_euclid(self.columns as i64) as usize);
+        let rows = [above as usize, (above as usize + 1).min(rows - 1)];
+        let mix = |a: f32, b: f32, t: f32| a + (b - a) * t;
+        let [upper, lower] = rows.map(|row| {
+            let [a, b] = columns.map(|column| self.share[row * self.columns + column]);
+            mix(a, b, x - left)
+        });
+        mix(upper, lower, y - above)
     }
 }
 

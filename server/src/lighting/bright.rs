@@ -1,0 +1,184 @@
+//! Lights of the bright regions that are not clipped, or only in part.
+//!
+//! What is clipped is a light by itself ([`super::clipped`]). What else stands out around it is its halo, where the two are one source, and a light
+//! of its own, where they are not: a lamp in a bright ceiling, a window beside the sun.
+
+use std::f64::consts::PI;
+
+use glam::{DVec3, Vec3};
+use mr360_shaders::colour::LUMA;
+
+use super::candidates::{Candidate, Candidates, half_angle};
+use super::clipped::{Clipped, INSIDE, likely_share};
+use super::panorama::Panorama;
+use super::regions::Regions;
+use super::track::{MOST_OBSERVATIONS, Observation};
+
+/// A region is left to its clipped parts when they make up more than this share of it.
+const MOSTLY: f64 = 0.5;
+/// A source is where its clipped part is when that makes up at least this share of it.
+const CORE: f64 = 0.1;
+
+/// What the observations are taken out of.
+pub(super) struct Scene<'a> {
+    /// Recovered.
+    pub(super) panorama: &'a Panorama,
+    /// Above the threshold.
+    pub(super) regions: &'a Regions,
+    /// Degree to which each texel is clipped; `None` in a frame that does not clip.
+    pub(super) clipped: Option<&'a [f32]>,
+    /// What exceeds this luminance is light.
+    pub(super) threshold: f32,
+    /// Luminance times solid angle of the upper hemisphere.
+    pub(super) energy: f64,
+    /// Colour of what recovery adds, of luminance 1.
+    pub(super) tint: Vec3,
+    /// Standard deviation of its logarithm.
+    pub(super) sigma: f64,
+}
+
+/// Finds the lights that are not clipped; the buffer is reused.
+pub(super) struct Bright {
+    sources: Vec<Source>,
+}
+
+/// What is bright and not clipped in a candidate.
+struct Source {
+    candidate: Candidate,
+    /// Without what is clipped.
+    rest: Candidate,
+    direction: DVec3,
+    irradiance: DVec3,
+    /// What of its strength recovery added, to single channels or on the way to white.
+    hidden: f64,
+}
+
+impl Bright {
+    /// Room for the sources of a frame.
+    pub(super) fn new() -> Self {
+        Self { sources: Vec::with_capacity(MOST_OBSERVATIONS) }
+    }
+
+    /// Measures the candidates, and takes the share `pooled` off what recovery gave them; returns how much that is. `moved` is told its
+    /// direction and irradiance.
+    pub(super) fn measure(&mut self, scene: &Scene<'_>, candidates: &[Candidate], pooled: f64, mut moved: impl FnMut(Vec3, DVec3)) -> f64 {
+        self.sources.clear();
+        let mut given = 0.0;
+        for candidate in candidates.iter().take(MOST_OBSERVATIONS) {
+            let rest = scene.rest(candidate);
+            if rest.strength <= 0.0 || rest.strength < (1.0 - MOSTLY) * candidate.strength {
+                continue;
+            }
+            let direction = scene.core(&rest, |texel| scene.is_clipped(texel));
+            let mut source = Source { candidate: *candidate, rest, direction, irradiance: rest.irradiance, hidden: scene.hidden(&rest) };
+            let change = pooled * source.hidden;
+            if change > 0.0 {
+                let irradiance = scene.tint.as_dvec3() * change;
+                moved(direction.as_vec3(), -irradiance);
+                source.irradiance = (source.irradiance - irradiance).max(DVec3::ZERO);
+                source.hidden -= change;
+                given += change;
+            }
+            self.sources.push(source);
+        }
+        given
+    }
+
+    /// Adds an observation for each source to those of the clipped regions, or makes one of two that are the same. Strongest first, at
+    /// most [`MOST_OBSERVATIONS`].
+    pub(super) fn observe(&self, scene: &Scene<'_>, clipped: &Clipped, observations: &mut Vec<Observation>) {
+        let of_clipped = observations.len();
+        for source in &self.sources {
+            let reach = source.rest.radius();
+            let members = Candidates::members(&source.rest, scene.regions);
+            let mut whole = source.observation(scene.sigma);
+            let mut middle = DVec3::ZERO;
+            for (part, texel) in observations[..of_clipped].iter_mut().zip(clipped.texels()) {
+                let near = (reach + half_angle(part.solid_angle_sr)).min(PI).cos();
+                if part.share > 0.0 && part.direction.dot(source.direction) > near && members.contains(&texel) {
+                    whole = joined(&whole, part);
+                    middle += part.direction * strength(part);
+                    part.share = 0.0;
+                }
+            }
+            if middle != DVec3::ZERO {
+                let of_parts = source.candidate.strength - source.rest.strength;
+                let is_core = of_parts >= CORE * source.candidate.strength;
+                let core = middle.try_normalize().filter(|_| is_core);
+                whole.direction = core.unwrap_or_else(|| scene.core(&source.candidate, |_| false));
+            }
+            whole.share = likely_share(strength(&whole), scene.energy, whole.sigma);
+            observations.push(whole);
+        }
+        observations.retain(|observation| observation.share > 0.0);
+        observations.sort_unstable_by(|a, b| strength(b).total_cmp(&strength(a)));
+        observations.truncate(MOST_OBSERVATIONS);
+    }
+}
+
+impl Scene<'_> {
+    fn is_clipped(&self, texel: usize) -> bool {
+        self.clipped.is_some_and(|degree| degree[texel] > INSIDE)
+    }
+
+    fn core(&self, candidate: &Candidate, left_out: impl Fn(usize) -> bool) -> DVec3 {
+        Candidates::core(candidate, self.panorama, self.regions, LUMA, self.threshold, left_out)
+    }
+
+    fn rest(&self, candidate: &Candidate) -> Candidate {
+        match self.clipped {
+            Some(_) => Candidates::without(candidate, self.panorama, self.regions, LUMA, self.threshold, |texel| self.is_clipped(texel)),
+            None => *candidate,
+        }
+    }
+
+    /// What recovery added to the rest of a candidate: what is above white.
+    fn hidden(&self, rest: &Candidate) -> f64 {
+        if self.clipped.is_none() {
+            return 0.0;
+        }
+        let width = self.panorama.size.width as usize;
+        let texels = Candidates::members(rest, self.regions).iter().map(|texel| *texel as usize);
+        let excess = |texel: usize| {
+            let above = self.panorama.radiance(texel).dot(LUMA) - self.threshold.max(1.0);
+            f64::from(above.max(0.0) * self.panorama.geometry.solid_angle_sr[texel / width])
+        };
+        texels.filter(|texel| !self.is_clipped(*texel)).map(excess).sum::<f64>().min(rest.strength)
+    }
+}
+
+impl Source {
+    /// Without its share.
+    fn observation(&self, sigma: f64) -> Observation {
+        let strength = self.irradiance.dot(LUMA.as_dvec3()).max(f64::MIN_POSITIVE);
+        let hidden_share = (self.hidden / strength).min(1.0);
+        Observation {
+            direction: self.direction,
+            irradiance: self.irradiance,
+            solid_angle_sr: self.rest.effective_solid_angle_sr(),
+            share: 0.0,
+            hidden_share,
+            sigma: sigma * hidden_share,
+        }
+    }
+}
+
+fn strength(observation: &Observation) -> f64 {
+    observation.irradiance.dot(LUMA.as_dvec3())
+}
+
+/// One source that is seen as two, in the direction of the first.
+fn joined(a: &Observation, b: &Observation) -> Observation {
+    let [of_a, of_b] = [a, b].map(strength);
+    let sum = (of_a + of_b).max(f64::MIN_POSITIVE);
+    let mean = |x: f64, y: f64| (x * of_a + y * of_b) / sum;
+    // (Σ E)² / Σ E²/Ω, as for texels.
+    let concentration = of_a * of_a / a.solid_angle_sr + of_b * of_b / b.solid_angle_sr;
+    Observation {
+        irradiance: a.irradiance + b.irradiance,
+        solid_angle_sr: sum * sum / concentration,
+        hidden_share: mean(a.hidden_share, b.hidden_share),
+        sigma: mean(a.sigma, b.sigma),
+        ..*a
+    }
+}
