@@ -32,9 +32,9 @@ pub const MOST_LIGHTS: usize = 8;
 /// off an open ground. The brighter middle of a standard overcast sky stands at 0.031, the specks that any threshold
 /// finds in an even noisy sky far below.
 const LEAST_SHARE: f64 = 0.04;
-/// A light is kept down to this share: its shadow takes at most 4 % off, twice the least contrast that is seen
-/// (Weber's 2 %), and fades there. Half of [`LEAST_SHARE`], so that nothing short of a halving makes a light come and go.
-const LAST_SHARE: f64 = 0.02;
+/// A light is kept down to this part of that share: its shadow takes at most 4 % off, twice the least contrast that is seen
+/// (Weber's 2 %), and fades there. Nothing short of a halving then makes a light come and go.
+const KEPT: f64 = 0.5;
 
 /// The curve of an LDR frame in which nothing is clipped: no gain to speak of. Viewers then have one kind of curve for the whole stream.
 const UNCLIPPED: Recovery = Recovery { gain_ln: -MAX_GAIN_LN, slope: Vec3::ZERO, tint_ln: [0.0; 2] };
@@ -65,6 +65,15 @@ impl Default for Directional {
 impl Directional {
     /// On a working panorama of another size, twice as wide as high; see [`super::MethodSpec::make_at`].
     pub(super) fn with_size(size: Grid) -> Self {
+        Self::new(size, LEAST_SHARE)
+    }
+
+    /// With lights from this share of the upper hemisphere's energy on; see [`super::MethodSpec::make_from`].
+    pub(super) fn with_least_share(share: f64) -> Self {
+        Self::new(SIZE, share)
+    }
+
+    fn new(size: Grid, least_share: f64) -> Self {
         let (width, upper_rows) = (size.width as usize, size.height as usize / 2);
         Self {
             panorama: Panorama::new(size, Lift::Linear),
@@ -78,7 +87,7 @@ impl Directional {
             bright: Bright::new(),
             observations: Vec::with_capacity(2 * MOST_OBSERVATIONS),
             coarse: Coarse::default(),
-            tracker: Tracker::new(Bounds { birth: LEAST_SHARE, death: LAST_SHARE, lights: MOST_LIGHTS }),
+            tracker: Tracker::new(Bounds { birth: least_share, death: KEPT * least_share, lights: MOST_LIGHTS }),
             estimate: Estimate { lights: Vec::with_capacity(MOST_LIGHTS), ..Estimate::default() },
         }
     }

@@ -36,6 +36,8 @@ mod radiance;
 mod recovery;
 mod regions;
 mod rgb;
+#[cfg(test)]
+mod ringing;
 mod sampling;
 pub mod sequences;
 mod series;

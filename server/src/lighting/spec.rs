@@ -17,6 +17,8 @@ struct Entry {
     parameter: Option<Parameter>,
     make: fn(usize) -> Box<dyn LightMethod>,
     resized: Option<Resized>,
+    /// Made with lights from a share of the upper hemisphere's energy on.
+    from: Option<fn(f64) -> Box<dyn LightMethod>>,
 }
 
 /// How a method is made with a working panorama of another size.
@@ -70,14 +72,16 @@ static METHODS: [Entry; 7] = [
         parameter: None,
         make: |_| Box::new(Directional::default()),
         resized: Some(Resized { usual: directional::SIZE, make: |_, size| Box::new(Directional::with_size(size)) }),
+        from: Some(|share| Box::new(Directional::with_least_share(share))),
     },
     Entry {
         name: "mr360",
         parameter: None,
         make: |_| Box::new(Mr360::default()),
         resized: Some(Resized { usual: mr360::SIZE, make: |_, size| Box::new(Mr360::with_size(size, true)) }),
+        from: None,
     },
-    Entry { name: "iorns", parameter: None, make: |_| Box::new(Iorns::default()), resized: None },
+    Entry { name: "iorns", parameter: None, make: |_| Box::new(Iorns::default()), resized: None, from: None },
     Entry {
         name: "sh",
         parameter: Some(Parameter { meaning: "number of coefficients", allowed: Allowed::OneOf(&[SH9, SH25]), default: SH9 }),
@@ -86,10 +90,23 @@ static METHODS: [Entry; 7] = [
             usual: spherical::SIZE,
             make: |coefficients, size| Box::new(SphericalHarmonics::with_size(size, coefficients)),
         }),
+        from: None,
     },
-    Entry { name: "median-cut", parameter: lights(), make: |lights| Box::new(LightCuts::new(Rule::Median, lights)), resized: None },
-    Entry { name: "variance-cut", parameter: lights(), make: |lights| Box::new(LightCuts::new(Rule::Variance, lights)), resized: None },
-    Entry { name: "k-means", parameter: lights(), make: |lights| Box::new(KMeans::new(lights)), resized: None },
+    Entry {
+        name: "median-cut",
+        parameter: lights(),
+        make: |lights| Box::new(LightCuts::new(Rule::Median, lights)),
+        resized: None,
+        from: None,
+    },
+    Entry {
+        name: "variance-cut",
+        parameter: lights(),
+        make: |lights| Box::new(LightCuts::new(Rule::Variance, lights)),
+        resized: None,
+        from: None,
+    },
+    Entry { name: "k-means", parameter: lights(), make: |lights| Box::new(KMeans::new(lights)), resized: None, from: None },
 ];
 
 /// A light method and its parameter, as `--method` names them: `NAME` or `NAME:N`. What cannot be made cannot be parsed.
@@ -129,6 +146,13 @@ impl MethodSpec {
         let possible = width.is_power_of_two() && (8..=1024).contains(&width);
         let supersample = usual.supersample.min((usual.width * usual.supersample / width.max(1)).max(1));
         possible.then(|| make(self.parameter, Grid { width, height: width / 2, supersample }))
+    }
+
+    /// Makes the method with lights from `share` of the upper hemisphere's energy on, in (0, 1], kept down to half of that, to measure what lights cost and
+    /// bring. `None` for a method that does not decide by shares.
+    #[must_use]
+    pub fn make_from(self, share: f64) -> Option<Box<dyn LightMethod>> {
+        METHODS[self.method].from.filter(|_| share > 0.0 && share <= 1.0).map(|make| make(share))
     }
 
     /// Columns of the working panorama that [`MethodSpec::make`] gives it, where [`MethodSpec::make_at`] can give it another.

@@ -78,6 +78,8 @@ enum Part {
     Speed,
     /// Error and time of methods over the size of their working panorama.
     Resolution,
+    /// Error of irradiance and of a shadow over the number of lights.
+    Lights,
     /// Stillness, lag and jumps of every method on sequences of known light, a still scene through a codec, and the real clip.
     Stability,
     /// Steps and share of a core of one method on large frames.
@@ -90,6 +92,7 @@ impl From<Part> for lighting::Part {
             Part::Accuracy => Self::Accuracy,
             Part::Speed => Self::Speed,
             Part::Resolution => Self::Resolution,
+            Part::Lights => Self::Lights,
             Part::Stability => Self::Stability,
             Part::LargeFrames => Self::LargeFrames,
         }

@@ -1,10 +1,10 @@
-//! Light, measured: accuracy against time for every method on true panoramas, speed on one live frame, what the working resolution costs and
-//! brings, stability over time, and the share of a core that large live frames take.
+//! Light, measured: accuracy against time for every method on true panoramas, speed on one live frame, what the working resolution and the number
+//! of lights cost and bring, stability over time, and the share of a core that large live frames take.
 //!
 //! Accuracy: `radiance_map` finds and splits the panoramas, `exposure` makes frames of them, `truth` says what is true,
 //! `irradiance`, `score` and `rendered` measure, `race` runs every method and the peers in turn, `oracle` says what knowing the hidden energy is worth,
 //! `report` writes it down and `fronts` draws it. `speed` races live frames (`video_frame`) against the paper written plainly (`plain`) and
-//! in OpenCV, `resolution` varies the working panorama, `stability` runs sequences, `large_frames` is the last part. `peer` speaks with the programs of others, which
+//! in OpenCV, `resolution` varies the working panorama, `light_count` the number of lights, `stability` runs sequences, `large_frames` is the last part. `peer` speaks with the programs of others, which
 //! `opencv` and `three` start.
 
 use std::fs;
@@ -19,6 +19,7 @@ mod exposure;
 mod fronts;
 mod irradiance;
 mod large_frames;
+mod light_count;
 mod opencv;
 mod oracle;
 mod peer;
@@ -47,6 +48,8 @@ pub enum Part {
     Speed,
     /// Error and time of methods over the size of their working panorama.
     Resolution,
+    /// Error over the number of lights.
+    Lights,
     /// Stillness, lag and jumps of every method over time.
     Stability,
     /// Steps and share of a core of one method on large frames of the real clip.
@@ -79,7 +82,7 @@ pub struct Options {
 }
 
 /// Runs the bench and writes `lighting.md`; of accuracy `lighting-accuracy.csv` and a chart an exposure; of speed `lighting-speed.csv` and
-/// `lighting-speed.svg`; of resolution `lighting-resolution.csv` and a chart an exposure; of stability `lighting-stability.csv`,
+/// `lighting-speed.svg`; of resolution `lighting-resolution.csv` and a chart an exposure; of lights `lighting-lights.csv` and a chart an exposure; of stability `lighting-stability.csv`,
 /// `lighting-stability-curves.csv` and a chart a sequence; of large frames `lighting.csv` and the chart `lighting-time.svg`.
 ///
 /// # Errors
@@ -93,6 +96,7 @@ pub fn run(options: &Options) -> Result<()> {
             Part::Accuracy => accuracy(options)?,
             Part::Speed => speed::run(options, &panoramas(options)?, start_opencv(options)?.as_mut())?,
             Part::Resolution => resolution::run(options, &panoramas(options)?)?,
+            Part::Lights => light_count::run(options, &panoramas(options)?)?,
             Part::Stability => stability::run(options)?,
             Part::LargeFrames => large_frames::run(options)?,
         });
