@@ -27,6 +27,7 @@ mod every_method_over_time;
 mod iorns;
 mod kmeans;
 mod light_sum;
+mod luminance;
 mod mr360;
 mod panorama;
 #[cfg(test)]
@@ -43,6 +44,7 @@ mod spherical;
 #[cfg(test)]
 mod stability;
 mod steps;
+mod taps;
 #[cfg(test)]
 mod test_skies;
 mod track;

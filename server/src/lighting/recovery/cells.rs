@@ -4,7 +4,7 @@ use glam::Vec3;
 use mr360_shaders::colour::{CLIPPED, LUMA};
 use pulp::{Arch, Simd, WithSimd};
 
-use crate::lighting::panorama::Panorama;
+use crate::lighting::panorama::Rows;
 use crate::lighting::radiance::Planes;
 use crate::lighting::sampling::Grid;
 use crate::lighting::vectors::{add_sides, load, store, vectors};
@@ -30,10 +30,12 @@ pub(super) struct Cells {
     pub(super) directions: Planes,
     /// Degree to which each texel is clipped in all channels.
     pub(super) clipped: Vec<f32>,
-    /// Luminance of each texel's clipped channels, as shown; left from earlier frames outside of patches that hold any.
+    /// Luminance of each texel's clipped channels: as shown, until it is replaced by what is added to it.
     pub(super) lit: Vec<f32>,
     /// Whether any channel is clipped in a patch: one vector of texels wide and one cell high, rows after each other.
     pub(super) hot: Vec<bool>,
+    /// Mean radiance.
+    pub(super) radiance: Planes,
     /// Share of the cell that is clipped in all channels.
     pub(super) clipped_share: Vec<f32>,
     /// Share of the cell that no channel is clipped in.
@@ -51,6 +53,8 @@ pub(super) struct Cells {
     /// Luminous irradiance on level ground, and that of a ground as bright as this one if it were white.
     sky: f64,
     ground: f64,
+    /// What a white ground would have for this one's luminous flux to be as large.
+    ground_weight: f64,
     sums: Sums,
     arch: Arch,
 }
@@ -90,6 +94,7 @@ impl Cells {
             lit: vec![0.0; width * height],
             // As many as there are patches of a single texel: how wide vectors are is not known here.
             hot: vec![false; width * rows],
+            radiance: std::array::from_fn(|_| field()),
             clipped_share: field(),
             open_share: field(),
             shown: field(),
@@ -99,6 +104,7 @@ impl Cells {
             flux: 0.0,
             sky: 0.0,
             ground: 0.0,
+            ground_weight: 0.0,
             sums: Sums { open_rgb: std::array::from_fn(|_| sums()), brightest: sums(), all: sums(), any: sums(), clipped_flux: sums() },
             arch: Arch::new(),
         }
@@ -106,61 +112,61 @@ impl Cells {
 
     /// How bright the ground is under what the sky shows, as a logarithm: ln(π·ground/sky) for a ground of that mean radiance.
     pub(super) fn ground_ln(&self) -> f32 {
-        (self.ground / self.sky.max(1e-9) + GROUND_FLOOR).ln() as f32
+        let ground = if self.ground_weight > 0.0 { std::f64::consts::PI * self.ground / self.ground_weight } else { 0.0 };
+        (ground / self.sky.max(1e-9) + GROUND_FLOOR).ln() as f32
     }
 
-    /// Sums up a panorama of the size that the cells were made for.
-    pub(super) fn take(&mut self, panorama: &Panorama) {
-        self.arch.dispatch(Take { cells: self, panorama });
+    /// Begins a panorama.
+    pub(super) fn begin(&mut self) {
+        (self.clipped_sr, self.flux, self.sky, self.ground, self.ground_weight) = (0.0, 0.0, 0.0, 0.0, 0.0);
+    }
+
+    /// Takes in the texels of one row of cells, in a panorama of the size that the cells were made for.
+    pub(super) fn take(&mut self, rows: &Rows<'_>) {
+        self.arch.dispatch(Take { cells: self, rows });
     }
 }
 
 /// [`Cells::take`] for whatever vectors there are.
-struct Take<'a> {
+struct Take<'a, 'b> {
     cells: &'a mut Cells,
-    panorama: &'a Panorama,
+    rows: &'a Rows<'b>,
 }
 
-impl WithSimd for Take<'_> {
+impl WithSimd for Take<'_, '_> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: Simd>(mut self, simd: S) {
-        let side = self.cells.side;
-        let geometry = &self.panorama.geometry;
-        let width = self.panorama.size.width as usize;
-        (self.cells.clipped_sr, self.cells.flux, self.cells.sky) = (0.0, 0.0, 0.0);
-        let (mut ground, mut ground_weight) = (0.0, 0.0);
-        // From the bottom up: the last rows that were sampled are in the cache still.
-        for row in (0..self.cells.rows).rev() {
-            let Sums { open_rgb: [red, green, blue], brightest, .. } = &mut self.cells.sums;
-            [red, green, blue, brightest].into_iter().for_each(|sums| sums.fill(0.0));
-            for texel_row in row * side..(row + 1) * side {
-                let (sine, solid_angle_sr) = (geometry.sin_cos_latitude[texel_row].0, geometry.solid_angle_sr[texel_row]);
-                let flux = f64::from(LUMA.dot(self.add_texels(simd, texel_row)) * solid_angle_sr);
-                self.cells.flux += flux;
-                let weight = f64::from(sine.abs());
-                if sine > 0.0 {
-                    self.cells.sky += weight * flux;
-                } else if sine < -GROUND_SINE {
-                    ground += weight * flux;
-                    ground_weight += weight * f64::from(solid_angle_sr) * width as f64;
-                }
+        let Rows { geometry, first, count, .. } = *self.rows;
+        let row = first / self.cells.side;
+        let Sums { open_rgb: [red, green, blue], brightest, .. } = &mut self.cells.sums;
+        [red, green, blue, brightest].into_iter().for_each(|sums| sums.fill(0.0));
+        for texel_row in first..first + count {
+            let (sine, solid_angle_sr) = (geometry.sin_cos_latitude[texel_row].0, geometry.solid_angle_sr[texel_row]);
+            let flux = f64::from(LUMA.dot(self.add_texels(simd, texel_row)) * solid_angle_sr);
+            self.cells.flux += flux;
+            let weight = f64::from(sine.abs());
+            if sine > 0.0 {
+                self.cells.sky += weight * flux;
+            } else if sine < -GROUND_SINE {
+                self.cells.ground += weight * flux;
+                self.cells.ground_weight += weight * f64::from(solid_angle_sr) * self.rows.width() as f64;
             }
-            let any = self.correct_clipped(simd, row);
-            self.finish(row, any);
         }
-        self.cells.ground = if ground_weight > 0.0 { std::f64::consts::PI * ground / ground_weight } else { 0.0 };
+        self.average(row);
+        let any = self.correct_clipped(simd, row);
+        self.finish(row, any);
     }
 }
 
-impl Take<'_> {
+impl Take<'_, '_> {
     /// Adds a row of texels to the sums as if nothing were clipped; returns the sum of its radiance.
     #[inline(always)]
     fn add_texels<S: Simd>(&mut self, simd: S, texel_row: usize) -> Vec3 {
         let Sums { open_rgb: [reds, greens, blues], brightest, .. } = &mut self.cells.sums;
-        let solid_angle_sr = simd.splat_f32s(self.panorama.geometry.solid_angle_sr[texel_row]);
-        let [r, g, b] = [self.panorama.row(0, texel_row), self.panorama.row(1, texel_row), self.panorama.row(2, texel_row)];
+        let solid_angle_sr = simd.splat_f32s(self.rows.geometry.solid_angle_sr[texel_row]);
+        let [r, g, b] = [self.rows.row(0, texel_row), self.rows.row(1, texel_row), self.rows.row(2, texel_row)];
         let (r, g, b) = (S::as_simd_f32s(r).0, S::as_simd_f32s(g).0, S::as_simd_f32s(b).0);
         let (reds, greens, blues) = (S::as_mut_simd_f32s(reds).0, S::as_mut_simd_f32s(greens).0, S::as_mut_simd_f32s(blues).0);
         let mut of_row = [simd.splat_f32s(0.0); 3];
@@ -174,6 +180,20 @@ impl Take<'_> {
         }
         let [red, green, blue] = of_row;
         Vec3::new(simd.reduce_sum_f32s(red), simd.reduce_sum_f32s(green), simd.reduce_sum_f32s(blue))
+    }
+
+    /// From the sums over a row of cells to its mean radiance.
+    #[inline(always)]
+    fn average(&mut self, row: usize) {
+        let Cells { columns, side, solid_angle_sr, radiance, sums, .. } = &mut *self.cells;
+        let share = 1.0 / solid_angle_sr[row];
+        for (radiance, sums) in radiance.iter_mut().zip(&sums.open_rgb) {
+            let radiance = &mut radiance[row * *columns..(row + 1) * *columns];
+            add_sides(sums, *side, radiance);
+            for radiance in radiance {
+                *radiance *= share;
+            }
+        }
     }
 
     /// Corrects the sums over a row of cells for its clipped texels; returns whether there are any.
@@ -194,7 +214,9 @@ impl Take<'_> {
                 self.correct_patch(simd, row, patch);
             } else if was_hot {
                 for texel_row in row * side..(row + 1) * side {
-                    store(simd, &mut self.cells.clipped[texel_row * width..(texel_row + 1) * width], patch, simd.splat_f32s(0.0));
+                    let texels = texel_row * width..(texel_row + 1) * width;
+                    store(simd, &mut self.cells.clipped[texels.clone()], patch, simd.splat_f32s(0.0));
+                    store(simd, &mut self.cells.lit[texels], patch, simd.splat_f32s(0.0));
                 }
             }
         }
@@ -211,10 +233,10 @@ impl Take<'_> {
         let mut open = [load(simd, &sums.open_rgb[0], patch), load(simd, &sums.open_rgb[1], patch), load(simd, &sums.open_rgb[2], patch)];
         for texel_row in row * *side..(row + 1) * *side {
             let texels = texel_row * width..(texel_row + 1) * width;
-            let solid_angle_sr = simd.splat_f32s(self.panorama.geometry.solid_angle_sr[texel_row]);
+            let solid_angle_sr = simd.splat_f32s(self.rows.geometry.solid_angle_sr[texel_row]);
             let (mut radiance, mut degree, mut luminance) = ([zero; 3], [zero; 3], zero);
             for channel in 0..3 {
-                radiance[channel] = load(simd, &self.panorama.channels[channel][texels.clone()], patch);
+                radiance[channel] = load(simd, self.rows.row(channel, texel_row), patch);
                 degree[channel] = clipped_degree(simd, radiance[channel]);
                 let shown = simd.mul_f32s(radiance[channel], degree[channel]);
                 luminance = simd.add_f32s(luminance, simd.mul_f32s(shown, simd.splat_f32s(LUMA.to_array()[channel])));

@@ -10,12 +10,14 @@
 //! How sure all this is, is said with it: [`Recovered::sigma`].
 
 use glam::Vec3;
-use mr360_protocol::light::{MAX_TINT_LN, Recovery};
+use mr360_protocol::light::{MAX_TINT_LN, Recovery, SH25};
 use mr360_shaders::colour::recovery_tint;
 use pulp::{Arch, Simd, WithSimd};
 
-use super::panorama::Panorama;
+use super::panorama::{Panorama, Rows};
+use super::radiance::Planes;
 use super::sampling::Grid;
+use super::series::Series;
 
 mod blur;
 mod cells;
@@ -61,6 +63,8 @@ pub(super) struct Recoverer {
     gains: Vec<f32>,
     /// The same at each column of texels, along one row of cells.
     gains_of_row: Vec<f32>,
+    /// Of the cells.
+    series: Series,
     arch: Arch,
 }
 
@@ -79,14 +83,58 @@ impl Recoverer {
             places: Places::new(count),
             gains: field(),
             gains_of_row: vec![0.0; size.width as usize],
+            series: Series::new(Grid { width: cells.columns as u32, height: cells.rows as u32, supersample: 1 }, SH25),
             arch: Arch::new(),
             cells,
         }
     }
 
-    /// Brightens the clipped texels of a linear panorama, whose display white is 1. None when there are none.
+    /// Begins a panorama.
+    pub(super) fn begin(&mut self) {
+        self.cells.begin();
+    }
+
+    /// How many rows of texels are seen at once.
+    pub(super) fn rows_at_once(&self) -> usize {
+        self.cells.side
+    }
+
+    /// Sees the next rows of a linear panorama, whose display white is 1.
+    pub(super) fn see(&mut self, rows: &Rows<'_>) {
+        self.cells.take(rows);
+    }
+
+    /// Writes the coefficients of the panorama as it was seen. What is shown is white at most, and even over a cell to within a thousandth.
+    pub(super) fn project(&self, sh: &mut [Vec3; SH25]) {
+        self.series.project_planes(&self.cells.radiance, sh);
+    }
+
+    /// Adds the coefficients of what was recovered: a few bright texels, each where it is; `texels` is the panorama's.
+    pub(super) fn project_hidden(&self, texels: &Series, recovered: &Recovered, sh: &mut [Vec3; SH25]) {
+        let hidden = texels.project_rows(self.brightened_rows().map(|row| (row, self.row_of(&self.cells.lit, row))));
+        let tint = recovery_tint(&recovered.curve);
+        sh.iter_mut().zip(hidden).for_each(|(sum, hidden)| *sum += tint * hidden as f32);
+    }
+
+    /// Rows of texels that recovery may have brightened.
+    pub(super) fn brightened_rows(&self) -> impl Iterator<Item = usize> {
+        let (side, width) = (self.cells.side, self.gains_of_row.len());
+        let rows = self.cells.hot.chunks_exact(width).enumerate().filter(|(_, hot)| hot.contains(&true));
+        rows.flat_map(move |(row, _)| row * side..(row + 1) * side)
+    }
+
+    fn row_of<'a>(&self, texels: &'a [f32], row: usize) -> &'a [f32] {
+        let width = self.gains_of_row.len();
+        &texels[row * width..(row + 1) * width]
+    }
+
+    /// Mean radiance of the panorama's cells, as it is now, and how many make a row.
+    pub(super) fn cells(&self) -> (&Planes, usize) {
+        (&self.cells.radiance, self.cells.columns)
+    }
+
+    /// Brightens the clipped texels of a panorama that was seen. None when there are none.
     pub(super) fn recover(&mut self, panorama: &mut Panorama) -> Option<Recovered> {
-        self.cells.take(panorama);
         if self.cells.clipped_sr <= 0.0 {
             return None;
         }
@@ -121,7 +169,16 @@ impl Recoverer {
         for (cell, gain) in self.places.cells.iter().zip(&self.places.exponentials) {
             self.gains[*cell as usize] = *gain;
         }
-        self.arch.dispatch(Brighten { recoverer: self, panorama, tint: recovery_tint(curve) })
+        let tint = recovery_tint(curve);
+        let Places { cells, exponentials, clipped_flux, .. } = &self.places;
+        for ((cell, gain), flux) in cells.iter().zip(exponentials).zip(clipped_flux) {
+            let cell = *cell as usize;
+            let added = gain * flux / self.cells.solid_angle_sr[cell / self.cells.columns];
+            for channel in 0..3 {
+                self.cells.radiance[channel][cell] += tint[channel] * added;
+            }
+        }
+        self.arch.dispatch(Brighten { recoverer: self, panorama, tint })
     }
 }
 
@@ -160,7 +217,7 @@ impl WithSimd for RimSums<'_> {
     }
 }
 
-/// Adds the gains times what is clipped to a panorama.
+/// Adds the gains times what is clipped to a panorama, and leaves what was added in its place.
 struct Brighten<'a> {
     recoverer: &'a mut Recoverer,
     panorama: &'a mut Panorama,
@@ -191,6 +248,7 @@ impl WithSimd for Brighten<'_> {
                         continue;
                     }
                     let added = simd.mul_f32s(load(simd, &cells.lit[texels.clone()], patch), load(simd, gains_of_row, patch));
+                    store(simd, &mut cells.lit[texels.clone()], patch, added);
                     of_row = simd.add_f32s(of_row, added);
                     for (channel, tint) in channels.iter_mut().zip(&tint) {
                         let row = &mut channel[texels.clone()];
