@@ -69,12 +69,13 @@ impl Directional {
     /// On a working panorama of another size, twice as wide as high; see [`super::MethodSpec::make_at`].
     pub(super) fn with_size(size: Grid) -> Self {
         let (width, upper_rows) = (size.width as usize, size.height as usize / 2);
+        let (panorama, recoverer) = (Panorama::new(size, Lift::Linear), Recoverer::new(size));
         Self {
-            panorama: Panorama::new(size, Lift::Linear),
-            recoverer: Recoverer::new(size),
+            luminance: Luminance::new(&panorama.geometry, recoverer.rows_at_once()),
+            panorama,
+            recoverer,
             series: Series::new(size, SH25),
             sh: [Vec3::ZERO; SH25],
-            luminance: Luminance::new(width, upper_rows),
             regions: Regions::new(width, upper_rows),
             candidates: Candidates::new(most_regions(width, upper_rows)),
             clipped: Clipped::new(most_regions(width, upper_rows)),
@@ -92,9 +93,11 @@ impl Directional {
         let Self { panorama, recoverer, luminance, .. } = self;
         recoverer.begin();
         panorama.take_by_rows(frame, recoverer.rows_at_once(), |rows| {
-            luminance.see(rows);
-            if !rows.hdr {
-                recoverer.see(rows);
+            // True HDR is not recovered.
+            if rows.hdr {
+                luminance.see(rows);
+            } else {
+                recoverer.see(rows, luminance);
             }
         })
     }
@@ -108,9 +111,8 @@ impl Directional {
             return None;
         }
         steps.time("sh", || recoverer.project(sh));
-        let recovered = steps.time("recover", || recoverer.recover(panorama))?;
+        let recovered = steps.time("recover", || recoverer.recover(panorama, luminance))?;
         steps.time("sh", || recoverer.project_hidden(series, &recovered, sh));
-        steps.time("threshold", || recoverer.brightened_rows().for_each(|row| luminance.see(&panorama.rows(row, 1))));
         Some(recovered)
     }
 

@@ -3,27 +3,35 @@
 use mr360_shaders::colour::LUMA;
 use pulp::{Arch, Simd, WithSimd};
 
-use super::panorama::Rows;
+use super::panorama::{Geometry, Rows};
+use super::vectors::{load, store, vectors};
 
-/// Values that are added side by side, so that as many are added at a time as the vectors hold; the same on every processor.
-const LANES: usize = 8;
-
-/// Luminance texel by texel, and sums over every row; refilled from frame to frame without allocating.
+/// Luminance texel by texel, and sums over every few rows; refilled from frame to frame without allocating.
 pub(super) struct Luminance {
     width: usize,
+    /// Rows that share their sums.
+    at_once: usize,
     texels: Vec<f32>,
-    rows: Vec<RowSums>,
+    sums: Vec<Sums>,
+    /// Of all texels.
+    solid_angle_sr: f64,
     arch: Arch,
 }
 
-/// Of the luminance of a row.
+/// Of the luminance of some rows.
 #[derive(Debug, Clone, Copy, Default)]
-struct RowSums {
-    sum: f64,
-    squares: f64,
-    peak: f32,
-    /// Solid angle of a texel.
-    texel_sr: f64,
+pub(super) struct Sums {
+    /// Luminance times solid angle.
+    pub(super) energy: f64,
+    /// Luminance squared times solid angle.
+    pub(super) squares: f64,
+    pub(super) peak: f32,
+}
+
+/// Rows that share their sums.
+pub(super) struct Part<'a> {
+    pub(super) texels: &'a mut [f32],
+    pub(super) sums: &'a mut Sums,
 }
 
 /// Luminance of the upper hemisphere, weighted by solid angle.
@@ -45,19 +53,34 @@ impl Statistics {
 }
 
 impl Luminance {
-    /// For the upper half of panoramas of this width, with this many rows.
-    pub(super) fn new(width: usize, upper_rows: usize) -> Self {
-        Self { width, texels: vec![0.0; width * upper_rows], rows: vec![RowSums::default(); upper_rows], arch: Arch::new() }
+    /// For the upper half of panoramas of this geometry, of which `at_once` rows are seen at once.
+    pub(super) fn new(geometry: &Geometry, at_once: usize) -> Self {
+        let (width, rows) = (geometry.longitude.len(), geometry.latitude.len() / 2);
+        let solid_angle_sr = geometry.solid_angle_sr[..rows].iter().map(|texel_sr| f64::from(*texel_sr)).sum::<f64>() * width as f64;
+        Self {
+            width,
+            at_once,
+            texels: vec![0.0; width * rows],
+            sums: vec![Sums::default(); rows / at_once.max(1)],
+            solid_angle_sr,
+            arch: Arch::new(),
+        }
     }
 
-    /// Takes in rows of a panorama, as far as they are of its upper half.
+    /// Takes in rows of a panorama, if they are of its upper half.
     pub(super) fn see(&mut self, rows: &Rows<'_>) {
-        let texels = self.texels.chunks_exact_mut(self.width).zip(&mut self.rows).enumerate().skip(rows.first).take(rows.count);
-        for (row, (texels, sums)) in texels {
-            let texel_sr = f64::from(rows.geometry.solid_angle_sr[row]);
-            let of_row = self.arch.dispatch(OfRow { channels: [rows.row(0, row), rows.row(1, row), rows.row(2, row)], texels });
-            *sums = RowSums { texel_sr, ..of_row };
+        let (arch, width) = (self.arch, self.width);
+        if let Some(part) = self.part(rows.first) {
+            arch.dispatch(See { rows, part, width });
         }
+    }
+
+    /// The rows from this one on; none of the lower half.
+    #[inline(always)]
+    pub(super) fn part(&mut self, first_row: usize) -> Option<Part<'_>> {
+        let (part, texels) = (first_row / self.at_once, self.at_once * self.width);
+        let sums = self.sums.get_mut(part)?;
+        Some(Part { texels: self.texels.get_mut(part * texels..(part + 1) * texels)?, sums })
     }
 
     /// Row by row from the top.
@@ -65,44 +88,59 @@ impl Luminance {
         &self.texels
     }
 
-    /// Over all rows that were seen.
+    /// Over all rows.
     pub(super) fn statistics(&self) -> Statistics {
-        let (mut first, mut second, mut solid_angle, mut peak) = (0.0, 0.0, 0.0, 0.0f32);
-        for row in &self.rows {
-            first += row.sum * row.texel_sr;
-            second += row.squares * row.texel_sr;
-            solid_angle += row.texel_sr * self.width as f64;
-            peak = peak.max(row.peak);
+        let (mut energy, mut squares, mut peak) = (0.0, 0.0, 0.0f32);
+        for sums in &self.sums {
+            energy += sums.energy;
+            squares += sums.squares;
+            peak = peak.max(sums.peak);
         }
-        let mean = first / solid_angle;
-        let deviation = (second / solid_angle - mean * mean).max(0.0).sqrt();
-        Statistics { mean, deviation, peak: f64::from(peak), energy: first }
+        let mean = energy / self.solid_angle_sr;
+        let deviation = (squares / self.solid_angle_sr - mean * mean).max(0.0).sqrt();
+        Statistics { mean, deviation, peak: f64::from(peak), energy }
     }
 }
 
-/// Luminance of a row, and its sums.
-struct OfRow<'a> {
-    channels: [&'a [f32]; 3],
-    texels: &'a mut [f32],
+/// Luminance of several texels.
+#[inline(always)]
+pub(super) fn of<S: Simd>(simd: S, red: S::f32s, green: S::f32s, blue: S::f32s) -> S::f32s {
+    let [of_red, of_green, of_blue] = [simd.splat_f32s(LUMA.x), simd.splat_f32s(LUMA.y), simd.splat_f32s(LUMA.z)];
+    let sum = simd.add_f32s(simd.mul_f32s(of_red, red), simd.mul_f32s(of_green, green));
+    simd.add_f32s(sum, simd.mul_f32s(of_blue, blue))
 }
 
-impl WithSimd for OfRow<'_> {
-    type Output = RowSums;
+/// [`Luminance::see`] for whatever vectors there are.
+struct See<'a, 'b> {
+    rows: &'a Rows<'b>,
+    part: Part<'a>,
+    width: usize,
+}
+
+impl WithSimd for See<'_, '_> {
+    type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> RowSums {
-        let [red, green, blue] = self.channels.map(|channel| channel.as_chunks::<LANES>().0);
-        let (mut sums, mut squares, mut largest) = ([0.0f32; LANES], [0.0f32; LANES], [0.0f32; LANES]);
-        for (((y, r), g), b) in self.texels.as_chunks_mut::<LANES>().0.iter_mut().zip(red).zip(green).zip(blue) {
-            for i in 0..LANES {
-                y[i] = LUMA.x * r[i] + LUMA.y * g[i] + LUMA.z * b[i];
-                sums[i] += y[i];
-                squares[i] += y[i] * y[i];
-                largest[i] = if y[i] > largest[i] { y[i] } else { largest[i] };
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { rows, part, width } = self;
+        let (zero, mut peak) = (simd.splat_f32s(0.0), simd.splat_f32s(0.0));
+        *part.sums = Sums::default();
+        for (row, texels) in part.texels.chunks_exact_mut(width).enumerate() {
+            let row = rows.first + row;
+            let (mut sum, mut squares) = (zero, zero);
+            let (red, green, blue) = (rows.row(0, row), rows.row(1, row), rows.row(2, row));
+            for vector in 0..vectors::<S>(width) {
+                let luminance = of(simd, load(simd, red, vector), load(simd, green, vector), load(simd, blue, vector));
+                store(simd, texels, vector, luminance);
+                sum = simd.add_f32s(sum, luminance);
+                squares = simd.add_f32s(squares, simd.mul_f32s(luminance, luminance));
+                peak = simd.max_f32s(peak, luminance);
             }
+            let texel_sr = f64::from(rows.geometry.solid_angle_sr[row]);
+            part.sums.energy += texel_sr * f64::from(simd.reduce_sum_f32s(sum));
+            part.sums.squares += texel_sr * f64::from(simd.reduce_sum_f32s(squares));
         }
-        let total = |lanes: [f32; LANES]| lanes.iter().map(|v| f64::from(*v)).sum();
-        RowSums { sum: total(sums), squares: total(squares), peak: largest.into_iter().fold(0.0, f32::max), texel_sr: 0.0 }
+        part.sums.peak = simd.reduce_max_f32s(peak);
     }
 }
 
@@ -121,9 +159,9 @@ mod tests {
         let mut panorama = Panorama::new(size, Lift::Linear);
         let value = |texel: usize| (texel * 7919 % 101) as f32 / 101.0;
         (0..128).for_each(|texel| panorama.set_radiance(texel, Vec3::new(value(texel), 0.5 * value(texel + 1), 2.0 - value(texel))));
-        let mut luminance = Luminance::new(16, 4);
-        // In pairs, of which the last two are of the lower half; one of them twice, as after it was changed.
-        for first in [0, 2, 4, 6, 2] {
+        let mut luminance = Luminance::new(&panorama.geometry, 2);
+        // The last two are of the lower half. Twice: nothing of the first frame may stay.
+        for first in [0, 2, 4, 6, 0, 2] {
             luminance.see(&panorama.rows(first, 2));
         }
         let of = |texel: usize| f64::from(panorama.radiance(texel).dot(LUMA));

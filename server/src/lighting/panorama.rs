@@ -76,6 +76,12 @@ pub(super) struct Rows<'a> {
 }
 
 impl Rows<'_> {
+    /// One channel of all of them.
+    #[inline(always)]
+    pub(super) fn channel(&self, channel: usize) -> &[f32] {
+        self.channels[channel]
+    }
+
     /// One channel of the row with this index in the panorama.
     #[inline(always)]
     pub(super) fn row(&self, channel: usize, row: usize) -> &[f32] {

@@ -1,10 +1,10 @@
 //! Sums over the cells of a panorama: what is clipped, and what the rest shows.
 
-use glam::Vec3;
 use mr360_shaders::colour::{CLIPPED, LUMA};
 use pulp::{Arch, Simd, WithSimd};
 
-use crate::lighting::panorama::Rows;
+use crate::lighting::luminance::{self, Part};
+use crate::lighting::panorama::{Geometry, Rows};
 use crate::lighting::radiance::Planes;
 use crate::lighting::sampling::Grid;
 use crate::lighting::vectors::{add_sides, load, store, vectors};
@@ -53,8 +53,11 @@ pub(super) struct Cells {
     /// Luminous irradiance on level ground, and that of a ground as bright as this one if it were white.
     sky: f64,
     ground: f64,
-    /// What a white ground would have for this one's luminous flux to be as large.
+    /// What the ground's would be if its radiance were 1.
     ground_weight: f64,
+    /// Weight of each row of texels in that of its hemisphere: solid angle of a texel times the sine of its distance from the horizon, and
+    /// nothing between horizon and ground.
+    levels: Vec<f32>,
     sums: Sums,
     arch: Arch,
 }
@@ -81,6 +84,10 @@ impl Cells {
             let uv = glam::Vec2::new(((cell % columns) as f32 + 0.5) / columns as f32, ((cell / columns) as f32 + 0.5) / rows as f32);
             mr360_shaders::equirect::direction_from_uv(uv)
         };
+        let geometry = Geometry::new(size);
+        let level =
+            |((sine, _), texel_sr): (&(f32, f32), &f32)| if *sine > 0.0 || *sine < -GROUND_SINE { sine.abs() * texel_sr } else { 0.0 };
+        let levels: Vec<f32> = geometry.sin_cos_latitude.iter().zip(&geometry.solid_angle_sr).map(level).collect();
         let field = || vec![0.0; columns * rows];
         let sums = || vec![0.0; width];
         Self {
@@ -104,7 +111,8 @@ impl Cells {
             flux: 0.0,
             sky: 0.0,
             ground: 0.0,
-            ground_weight: 0.0,
+            ground_weight: levels[height / 2..].iter().map(|level| f64::from(*level)).sum::<f64>() * width as f64,
+            levels,
             sums: Sums { open_rgb: std::array::from_fn(|_| sums()), brightest: sums(), all: sums(), any: sums(), clipped_flux: sums() },
             arch: Arch::new(),
         }
@@ -118,12 +126,13 @@ impl Cells {
 
     /// Begins a panorama.
     pub(super) fn begin(&mut self) {
-        (self.clipped_sr, self.flux, self.sky, self.ground, self.ground_weight) = (0.0, 0.0, 0.0, 0.0, 0.0);
+        (self.clipped_sr, self.flux, self.sky, self.ground) = (0.0, 0.0, 0.0, 0.0);
     }
 
-    /// Takes in the texels of one row of cells, in a panorama of the size that the cells were made for.
-    pub(super) fn take(&mut self, rows: &Rows<'_>) {
-        self.arch.dispatch(Take { cells: self, rows });
+    /// Takes in the texels of one row of cells, in a panorama of the size that the cells were made for, and writes their luminance where there is
+    /// room for it: in the upper hemisphere.
+    pub(super) fn take(&mut self, rows: &Rows<'_>, luminance: Option<Part<'_>>) {
+        self.arch.dispatch(Take { cells: self, rows, luminance });
     }
 }
 
@@ -131,6 +140,7 @@ impl Cells {
 struct Take<'a, 'b> {
     cells: &'a mut Cells,
     rows: &'a Rows<'b>,
+    luminance: Option<Part<'a>>,
 }
 
 impl WithSimd for Take<'_, '_> {
@@ -138,21 +148,10 @@ impl WithSimd for Take<'_, '_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(mut self, simd: S) {
-        let Rows { geometry, first, count, .. } = *self.rows;
-        let row = first / self.cells.side;
-        let Sums { open_rgb: [red, green, blue], brightest, .. } = &mut self.cells.sums;
-        [red, green, blue, brightest].into_iter().for_each(|sums| sums.fill(0.0));
-        for texel_row in first..first + count {
-            let (sine, solid_angle_sr) = (geometry.sin_cos_latitude[texel_row].0, geometry.solid_angle_sr[texel_row]);
-            let flux = f64::from(LUMA.dot(self.add_texels(simd, texel_row)) * solid_angle_sr);
-            self.cells.flux += flux;
-            let weight = f64::from(sine.abs());
-            if sine > 0.0 {
-                self.cells.sky += weight * flux;
-            } else if sine < -GROUND_SINE {
-                self.cells.ground += weight * flux;
-                self.cells.ground_weight += weight * f64::from(solid_angle_sr) * self.rows.width() as f64;
-            }
+        let row = self.rows.first / self.cells.side;
+        match self.luminance.take() {
+            Some(part) => self.add_texels::<S, true>(simd, part.texels, part.sums),
+            None => self.add_texels::<S, false>(simd, &mut [], &mut luminance::Sums::default()),
         }
         self.average(row);
         let any = self.correct_clipped(simd, row);
@@ -161,25 +160,48 @@ impl WithSimd for Take<'_, '_> {
 }
 
 impl Take<'_, '_> {
-    /// Adds a row of texels to the sums as if nothing were clipped; returns the sum of its radiance.
+    /// Sums the texels up as if nothing were clipped; `UPPER` ones leave their luminance and its sums.
     #[inline(always)]
-    fn add_texels<S: Simd>(&mut self, simd: S, texel_row: usize) -> Vec3 {
+    fn add_texels<S: Simd, const UPPER: bool>(&mut self, simd: S, texels: &mut [f32], of_luminance: &mut luminance::Sums) {
+        let Rows { geometry, first, count, .. } = *self.rows;
         let Sums { open_rgb: [reds, greens, blues], brightest, .. } = &mut self.cells.sums;
-        let solid_angle_sr = simd.splat_f32s(self.rows.geometry.solid_angle_sr[texel_row]);
-        let [r, g, b] = [self.rows.row(0, texel_row), self.rows.row(1, texel_row), self.rows.row(2, texel_row)];
+        let (texels_sr, levels) = (&geometry.solid_angle_sr[first..first + count], &self.cells.levels[first..first + count]);
+        let (r, g, b) = (self.rows.channel(0), self.rows.channel(1), self.rows.channel(2));
         let (r, g, b) = (S::as_simd_f32s(r).0, S::as_simd_f32s(g).0, S::as_simd_f32s(b).0);
-        let (reds, greens, blues) = (S::as_mut_simd_f32s(reds).0, S::as_mut_simd_f32s(greens).0, S::as_mut_simd_f32s(blues).0);
-        let mut of_row = [simd.splat_f32s(0.0); 3];
-        let sums = reds.iter_mut().zip(greens).zip(blues).zip(S::as_mut_simd_f32s(brightest).0);
-        for ((((((reds, greens), blues), brightest), r), g), b) in sums.zip(r).zip(g).zip(b) {
-            of_row = [simd.add_f32s(of_row[0], *r), simd.add_f32s(of_row[1], *g), simd.add_f32s(of_row[2], *b)];
-            *reds = simd.add_f32s(*reds, simd.mul_f32s(*r, solid_angle_sr));
-            *greens = simd.add_f32s(*greens, simd.mul_f32s(*g, solid_angle_sr));
-            *blues = simd.add_f32s(*blues, simd.mul_f32s(*b, solid_angle_sr));
-            *brightest = simd.max_f32s(*brightest, simd.max_f32s(simd.max_f32s(*r, *g), *b));
+        let texels = S::as_mut_simd_f32s(texels).0;
+        let zero = simd.splat_f32s(0.0);
+        let (mut energy, mut level, mut squares, mut peak) = (zero, zero, zero, zero);
+        let in_row = vectors::<S>(brightest.len());
+        for vector in 0..in_row {
+            let (mut red, mut green, mut blue, mut most) = (zero, zero, zero, zero);
+            for (row, (texel_sr, level_sr)) in texels_sr.iter().zip(levels).enumerate() {
+                let at = row * in_row + vector;
+                let (r, g, b, texel_sr) = (r[at], g[at], b[at], simd.splat_f32s(*texel_sr));
+                red = simd.add_f32s(red, simd.mul_f32s(r, texel_sr));
+                green = simd.add_f32s(green, simd.mul_f32s(g, texel_sr));
+                blue = simd.add_f32s(blue, simd.mul_f32s(b, texel_sr));
+                most = simd.max_f32s(most, simd.max_f32s(simd.max_f32s(r, g), b));
+                let luminance = luminance::of(simd, r, g, b);
+                let flux = simd.mul_f32s(luminance, texel_sr);
+                energy = simd.add_f32s(energy, flux);
+                level = simd.add_f32s(level, simd.mul_f32s(luminance, simd.splat_f32s(*level_sr)));
+                if UPPER {
+                    squares = simd.add_f32s(squares, simd.mul_f32s(flux, luminance));
+                    peak = simd.max_f32s(peak, luminance);
+                    texels[at] = luminance;
+                }
+            }
+            store(simd, reds, vector, red);
+            store(simd, greens, vector, green);
+            store(simd, blues, vector, blue);
+            store(simd, brightest, vector, most);
         }
-        let [red, green, blue] = of_row;
-        Vec3::new(simd.reduce_sum_f32s(red), simd.reduce_sum_f32s(green), simd.reduce_sum_f32s(blue))
+        let (energy, level) = (f64::from(simd.reduce_sum_f32s(energy)), f64::from(simd.reduce_sum_f32s(level)));
+        self.cells.flux += energy;
+        *(if UPPER { &mut self.cells.sky } else { &mut self.cells.ground }) += level;
+        if UPPER {
+            *of_luminance = luminance::Sums { energy, squares: f64::from(simd.reduce_sum_f32s(squares)), peak: simd.reduce_max_f32s(peak) };
+        }
     }
 
     /// From the sums over a row of cells to its mean radiance.

@@ -14,6 +14,7 @@ use mr360_protocol::light::{MAX_TINT_LN, Recovery, SH25};
 use mr360_shaders::colour::recovery_tint;
 use pulp::{Arch, Simd, WithSimd};
 
+use super::luminance::Luminance;
 use super::panorama::{Panorama, Rows};
 use super::radiance::Planes;
 use super::sampling::Grid;
@@ -99,9 +100,9 @@ impl Recoverer {
         self.cells.side
     }
 
-    /// Sees the next rows of a linear panorama, whose display white is 1.
-    pub(super) fn see(&mut self, rows: &Rows<'_>) {
-        self.cells.take(rows);
+    /// Sees the next rows of a linear panorama, whose display white is 1, and writes their luminance.
+    pub(super) fn see(&mut self, rows: &Rows<'_>, luminance: &mut Luminance) {
+        self.cells.take(rows, luminance.part(rows.first));
     }
 
     /// Writes the coefficients of the panorama as it was seen. What is shown is white at most, and even over a cell to within a thousandth.
@@ -117,7 +118,7 @@ impl Recoverer {
     }
 
     /// Rows of texels that recovery may have brightened.
-    pub(super) fn brightened_rows(&self) -> impl Iterator<Item = usize> {
+    fn brightened_rows(&self) -> impl Iterator<Item = usize> {
         let (side, width) = (self.cells.side, self.gains_of_row.len());
         let rows = self.cells.hot.chunks_exact(width).enumerate().filter(|(_, hot)| hot.contains(&true));
         rows.flat_map(move |(row, _)| row * side..(row + 1) * side)
@@ -133,8 +134,8 @@ impl Recoverer {
         (&self.cells.radiance, self.cells.columns)
     }
 
-    /// Brightens the clipped texels of a panorama that was seen. None when there are none.
-    pub(super) fn recover(&mut self, panorama: &mut Panorama) -> Option<Recovered> {
+    /// Brightens the clipped texels of a panorama that was seen, and their luminance. None when there are none.
+    pub(super) fn recover(&mut self, panorama: &mut Panorama, luminance: &mut Luminance) -> Option<Recovered> {
         if self.cells.clipped_sr <= 0.0 {
             return None;
         }
@@ -142,7 +143,7 @@ impl Recoverer {
         let tint_ln = self.arch.dispatch(RimSums { recoverer: self }).tint_ln();
         let (gain_ln, slope) = curve::through(self.arch, &mut self.places);
         let curve = Recovery { gain_ln, slope, tint_ln };
-        let hidden = self.brighten(panorama, &curve);
+        let hidden = self.brighten(panorama, luminance, &curve);
         let hidden_share = (hidden / (hidden + self.cells.flux)) as f32;
         let clipped_share = (self.cells.clipped_sr / (4.0 * std::f64::consts::PI)) as f32;
         Some(Recovered { curve, hidden_share, sigma: excess::sigma(self.cells.ground_ln(), clipped_share, hidden_share) })
@@ -164,7 +165,7 @@ impl Recoverer {
     }
 
     /// Adds what the curve says; returns the luminous flux added. The curve is read once a cell: over its 2.8° the error of that averages out.
-    fn brighten(&mut self, panorama: &mut Panorama, curve: &Recovery) -> f64 {
+    fn brighten(&mut self, panorama: &mut Panorama, luminance: &mut Luminance, curve: &Recovery) -> f64 {
         curve::gains(self.arch, &mut self.places, curve);
         for (cell, gain) in self.places.cells.iter().zip(&self.places.exponentials) {
             self.gains[*cell as usize] = *gain;
@@ -178,7 +179,7 @@ impl Recoverer {
                 self.cells.radiance[channel][cell] += tint[channel] * added;
             }
         }
-        self.arch.dispatch(Brighten { recoverer: self, panorama, tint })
+        self.arch.dispatch(Brighten { recoverer: self, panorama, luminance, tint })
     }
 }
 
@@ -221,6 +222,8 @@ impl WithSimd for RimSums<'_> {
 struct Brighten<'a> {
     recoverer: &'a mut Recoverer,
     panorama: &'a mut Panorama,
+    luminance: &'a mut Luminance,
+    /// Of luminance 1.
     tint: Vec3,
 }
 
@@ -240,9 +243,12 @@ impl WithSimd for Brighten<'_> {
                 continue;
             }
             repeat_sides(gains, cells.side, gains_of_row);
+            let mut upper = self.luminance.part(row * cells.side);
+            let mut peak = simd.splat_f32s(0.0);
             for texel_row in row * cells.side..(row + 1) * cells.side {
                 let texels = texel_row * width..(texel_row + 1) * width;
-                let mut of_row = simd.splat_f32s(0.0);
+                let zero = simd.splat_f32s(0.0);
+                let (mut of_row, mut squares) = (zero, zero);
                 for (patch, hot) in hot.iter().enumerate() {
                     if !hot {
                         continue;
@@ -255,8 +261,26 @@ impl WithSimd for Brighten<'_> {
                         let radiance = simd.add_f32s(load(simd, row, patch), simd.mul_f32s(added, *tint));
                         store(simd, row, patch, radiance);
                     }
+                    if let Some(part) = &mut upper {
+                        let first = (texel_row - row * cells.side) * width;
+                        let row = &mut part.texels[first..first + width];
+                        let shown = load(simd, row, patch);
+                        let luminance = simd.add_f32s(shown, added);
+                        store(simd, row, patch, luminance);
+                        squares = simd.add_f32s(squares, simd.mul_f32s(simd.add_f32s(shown, luminance), added));
+                        peak = simd.max_f32s(peak, luminance);
+                    }
                 }
-                hidden += f64::from(simd.reduce_sum_f32s(of_row) * geometry.solid_angle_sr[texel_row]);
+                let texel_sr = f64::from(geometry.solid_angle_sr[texel_row]);
+                let energy = f64::from(simd.reduce_sum_f32s(of_row)) * texel_sr;
+                hidden += energy;
+                if let Some(part) = &mut upper {
+                    part.sums.energy += energy;
+                    part.sums.squares += f64::from(simd.reduce_sum_f32s(squares)) * texel_sr;
+                }
+            }
+            if let Some(part) = &mut upper {
+                part.sums.peak = part.sums.peak.max(simd.reduce_max_f32s(peak));
             }
         }
         hidden

@@ -5,6 +5,7 @@ use mr360_protocol::light::Lift;
 use mr360_shaders::colour::{luminance, recovered};
 
 use super::*;
+use crate::lighting::panorama::Geometry;
 
 const SIZE: Grid = Grid { width: 512, height: 256, supersample: 1 };
 
@@ -34,10 +35,14 @@ fn scene(to_light: Vec3, half_angle_deg: f32, ground: f32) -> impl Fn(Vec3) -> V
 
 /// Shows the panorama to the recoverer, and has it brightened.
 fn recover(recoverer: &mut Recoverer, panorama: &mut Panorama) -> Option<Recovered> {
+    recover_with(recoverer, panorama, &mut Luminance::new(&Geometry::new(SIZE), recoverer.rows_at_once()))
+}
+
+fn recover_with(recoverer: &mut Recoverer, panorama: &mut Panorama, luminance: &mut Luminance) -> Option<Recovered> {
     recoverer.begin();
     let count = recoverer.rows_at_once();
-    (0..panorama.size.height as usize / count).for_each(|row| recoverer.see(&panorama.rows(row * count, count)));
-    recoverer.recover(panorama)
+    (0..panorama.size.height as usize / count).for_each(|row| recoverer.see(&panorama.rows(row * count, count), luminance));
+    recoverer.recover(panorama, luminance)
 }
 
 fn flux(panorama: &Panorama) -> f64 {
@@ -86,6 +91,34 @@ fn what_is_added_is_what_the_curve_says_and_what_is_reported() {
     let rim = [(0.2f32 / 0.3).ln(), (0.5f32 / 0.3).ln()];
     assert!((found.curve.tint_ln[0] - rim[0]).abs() < 0.02 && (found.curve.tint_ln[1] - BLUE_SHARE * rim[1]).abs() < 0.02, "{found:?}");
     assert!(found.sigma > 0.3 && found.sigma < 3.0, "{found:?}");
+}
+
+#[test]
+fn luminance_and_harmonics_know_of_what_was_added() {
+    let mut panorama = panorama(scene(Vec3::new(0.3, 0.8, -0.5).normalize(), 5.0, 0.25));
+    let mut recoverer = Recoverer::new(SIZE);
+    let [mut got, mut expected] = [0; 2].map(|_| Luminance::new(&panorama.geometry, recoverer.rows_at_once()));
+    let count = recoverer.rows_at_once();
+    (0..256 / count).for_each(|row| recoverer.see(&panorama.rows(row * count, count), &mut got));
+    // What is recovered is left in the cells.
+    let shown = recoverer.cells.radiance.clone();
+    let found = recover_with(&mut recoverer, &mut panorama, &mut got).unwrap();
+    (0..256 / count).for_each(|row| expected.see(&panorama.rows(row * count, count)));
+    assert!(got.texels().iter().zip(expected.texels()).all(|(got, expected)| (got - expected).abs() <= 1e-5 * expected));
+    let (statistics, expected) = (got.statistics(), expected.statistics());
+    for (got, expected) in [(statistics.energy, expected.energy), (f64::from(statistics.threshold()), f64::from(expected.threshold()))] {
+        assert!((got / expected - 1.0).abs() < 1e-5, "{got} against {expected}");
+    }
+    let texels = Series::new(SIZE, SH25);
+    let [mut got, mut expected] = [[Vec3::ZERO; SH25]; 2];
+    recoverer.cells.radiance.clone_from(&shown);
+    recoverer.project(&mut got);
+    recoverer.project_hidden(&texels, &found, &mut got);
+    texels.project(&panorama, &mut expected);
+    for (got, expected_one) in got.iter().zip(expected) {
+        // Of what is shown a cell is even; what is hidden is exact.
+        assert!((*got - expected_one).abs().max_element() < 1e-3 * expected[0].max_element(), "{got} against {expected_one}");
+    }
 }
 
 #[test]
