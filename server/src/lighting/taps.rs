@@ -268,7 +268,13 @@ impl Average<'_, '_> {
     /// Adds rows of pixels to what the sums hold, or to nothing.
     #[inline(always)]
     fn add<W: Weigh, const ROWS: usize, const SQUARES: bool>(&mut self, way: W, first: usize, shares: [f32; ROWS], further: bool) {
-        let rows: [&[u8]; ROWS] = std::array::from_fn(|row| self.plane.row(first + row));
+        let width = self.plane.width as usize;
+        let mut rows: [&[u8]; ROWS] = [&[]; ROWS];
+        for (row, pixels) in rows.iter_mut().enumerate() {
+            // All as long, so that what is checked of one need not be checked of the others.
+            let Some(whole) = self.plane.row(first + row).get(..width) else { return };
+            *pixels = whole;
+        }
         let shares = shares.map(|share| share / self.taps.whole);
         let means = self.means.as_chunks_mut::<AT_ONCE>().0.iter_mut();
         let squares = self.squares.as_chunks_mut::<AT_ONCE>().0.iter_mut();
@@ -280,12 +286,11 @@ impl Average<'_, '_> {
                     windows[row][half] = *window;
                 }
             }
-            let sums = way.sums::<ROWS, SQUARES>(windows, shares, eight);
-            for sum in 0..AT_ONCE {
-                means[sum] = if further { means[sum] + sums[0][sum] } else { sums[0][sum] };
-                if SQUARES {
-                    squares[sum] = if further { squares[sum] + sums[1][sum] } else { sums[1][sum] };
-                }
+            let [sums, of_squares] = way.sums::<ROWS, SQUARES>(windows, shares, eight);
+            // Written whole: single sums would be written one by one.
+            *means = if further { added(means, &sums) } else { sums };
+            if SQUARES {
+                *squares = if further { added(squares, &of_squares) } else { of_squares };
             }
         }
     }
@@ -301,6 +306,11 @@ impl Average<'_, '_> {
             }
         }
     }
+}
+
+#[inline(always)]
+fn added(a: &[f32; AT_ONCE], b: &[f32; AT_ONCE]) -> [f32; AT_ONCE] {
+    std::array::from_fn(|sum| a[sum] + b[sum])
 }
 
 /// Adds up every `count` values, and writes what comes out from the start on.
