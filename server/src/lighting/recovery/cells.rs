@@ -307,11 +307,13 @@ impl Take<'_, '_> {
         add_sides(&sums.all, *side, clipped_share);
         add_sides(&sums.any, *side, open_share);
         add_sides(&sums.clipped_flux, *side, clipped_flux);
+        let mut of_row = 0.0;
         for (clipped, open) in clipped_share.iter_mut().zip(open_share) {
-            *clipped_sr += f64::from(*open);
+            of_row += f64::from(*open);
             *clipped *= share;
             *open = 1.0 - share * *open;
         }
+        *clipped_sr += of_row;
     }
 }
 
