@@ -155,7 +155,8 @@ impl Weigh for Plain {
     ) -> [[f32; AT_ONCE]; 2] {
         let mut sums = [[0.0; AT_ONCE]; 2];
         for (windows, share) in windows.iter().zip(shares) {
-            for sum in 0..AT_ONCE {
+            let [means, squares] = &mut sums;
+            for (sum, (mean_sum, square_sum)) in means.iter_mut().zip(squares).enumerate() {
                 let (half, first) = (sum / PIXELS, sum % PIXELS * PIXELS);
                 let (mut mean, mut square) = (0, 0);
                 for tap in first..first + PIXELS {
@@ -163,8 +164,8 @@ impl Weigh for Plain {
                     let weighted = sample * i32::from(eight.weights[half][tap]);
                     (mean, square) = (mean + weighted, square + weighted * sample);
                 }
-                sums[0][sum] += share * mean as f32;
-                sums[1][sum] += share * square as f32;
+                *mean_sum += share * mean as f32;
+                *square_sum += share * square as f32;
             }
         }
         sums
@@ -280,10 +281,10 @@ impl Average<'_, '_> {
         let squares = self.squares.as_chunks_mut::<AT_ONCE>().0.iter_mut();
         for ((eight, means), squares) in self.taps.eights.iter().zip(means).zip(squares) {
             let mut windows = [[[0; WINDOW]; 2]; ROWS];
-            for row in 0..ROWS {
-                for half in 0..2 {
-                    let Some(window) = rows[row].get(eight.first[half]..).and_then(|row| row.first_chunk()) else { return };
-                    windows[row][half] = *window;
+            for (windows, row) in windows.iter_mut().zip(rows) {
+                for (window, first) in windows.iter_mut().zip(eight.first) {
+                    let Some(pixels) = row.get(first..).and_then(|row| row.first_chunk()) else { return };
+                    *window = *pixels;
                 }
             }
             let [sums, of_squares] = way.sums::<ROWS, SQUARES>(windows, shares, eight);
