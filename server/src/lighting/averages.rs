@@ -5,19 +5,20 @@
 //! ratio such as 1280:512 has another pattern of weights in every cell, which no vector unit likes; so the eight rows are
 //! turned into columns first, and what is added at once are the same pixels of eight rows. All of it are plain loops over
 //! arrays of eight, compiled for the widest vectors that the processor has (`pulp`). No sum is fused with its product, so
-//! that every processor finds the same light.
+//! that every processor finds the same light. 8-bit samples take a shorter way where the ratio allows it ([`super::taps`]).
 
 use pulp::Arch;
 
+use super::taps::Taps;
 use super::transpose::{SIDE, Transpose, WithTranspose, dispatch};
 
 /// Rows of cells that are made at a time.
-pub(super) const BAND: usize = SIDE;
+const BAND: usize = SIDE;
 /// Pixels of a row that are added downwards before they are turned: little enough to stay in the fastest cache, and an odd number of its lines,
 /// lest the eight rows compete for the same places in it.
 const STRIP: usize = 656;
 /// Source rows that are added in one go.
-const MOST_AT_ONCE: usize = 4;
+pub(super) const MOST_AT_ONCE: usize = 4;
 
 /// For each of a number of equal cells along an axis: which pixels lie in it, and with what share of its length.
 #[derive(Debug, Default)]
@@ -54,7 +55,7 @@ impl Shares {
     }
 
     /// First pixel of a cell and the shares from it on, without those that are zero.
-    fn of(&self, cell: usize) -> (usize, &[f32]) {
+    pub(super) fn of(&self, cell: usize) -> (usize, &[f32]) {
         let shares = self.shares.get(cell * self.each..(cell + 1) * self.each).unwrap_or_default();
         let skipped = shares.iter().take_while(|share| **share <= 0.0).count();
         let kept = shares.iter().rposition(|share| *share > 0.0).map_or(skipped, |last| last + 1);
@@ -83,7 +84,9 @@ pub(super) struct Plane<'a> {
 }
 
 impl Plane<'_> {
-    fn row(&self, row: usize) -> &[u8] {
+    /// Bytes of a row; none beyond the last.
+    #[inline(always)]
+    pub(super) fn row(&self, row: usize) -> &[u8] {
         let start = row * self.stride;
         self.data.get(start..start + self.width as usize * if self.wide { 2 } else { 1 }).unwrap_or_default()
     }
@@ -94,9 +97,10 @@ type Strip = [[f32; STRIP]; BAND];
 /// One value for each of eight rows.
 type Column = [f32; BAND];
 
-/// Averages over the cells of eight rows, and the buffers for them; reused from frame to frame.
+/// Averages over the cells of a row, and the buffers for them; reused from frame to frame.
 pub(super) struct Averages {
     arch: Arch,
+    taps: Taps,
     columns: Shares,
     rows: Shares,
     strips: Box<[Strip; 2]>,
@@ -104,15 +108,18 @@ pub(super) struct Averages {
     turned: [Vec<Column>; 2],
     /// The same across, one column of eight a cell, a multiple of eight cells.
     cells: Vec<Column>,
-    /// The same row by row.
+    /// The same row by row: eight rows, or one by [`Taps`].
     averages: [Vec<f32>; 2],
     width: usize,
+    /// Which of those rows is meant.
+    row: usize,
 }
 
 impl Default for Averages {
     fn default() -> Self {
         Self {
             arch: Arch::new(),
+            taps: Taps::default(),
             columns: Shares::default(),
             rows: Shares::default(),
             strips: Box::new([[[0.0; STRIP]; BAND]; 2]),
@@ -120,43 +127,58 @@ impl Default for Averages {
             cells: Vec::new(),
             averages: Default::default(),
             width: 0,
+            row: 0,
         }
     }
 }
 
 impl Averages {
-    /// Averages `plane` over the cells of band `band`, eight rows of a grid of `columns` × `rows` cells; the last band may be
-    /// lower. With `squares`, the samples' squares too.
-    pub(super) fn take(&mut self, plane: &Plane<'_>, band: usize, (columns, rows): (u32, u32), squares: bool) {
-        self.columns.fit(plane.width, columns);
+    /// Averages `plane` over the cells of row `row` of a grid of `columns` × `rows` cells. With `squares`, the samples' squares too. Rows come in
+    /// order, from 0 on.
+    pub(super) fn take(&mut self, plane: &Plane<'_>, row: usize, (columns, rows): (u32, u32), squares: bool) {
         self.rows.fit(plane.height, rows);
         self.width = columns as usize;
+        if !plane.wide && self.taps.fit(plane.width, columns) {
+            self.row = 0;
+            let [means, of_squares] = &mut self.averages;
+            self.taps.average(self.arch, plane, &self.rows, row, [means, of_squares], squares);
+            return;
+        }
+        self.row = row % BAND;
+        if self.row == 0 {
+            self.take_band(plane, row, squares);
+        }
+    }
+
+    /// Averages eight rows from `first_row` on; the last ones may be fewer.
+    fn take_band(&mut self, plane: &Plane<'_>, first_row: usize, squares: bool) {
+        self.columns.fit(plane.width, self.width as u32);
         let (pixels, cells) = ((plane.width as usize).next_multiple_of(BAND), self.width.next_multiple_of(BAND));
         self.cells.resize(cells, [0.0; BAND]);
         for (turned, averages) in self.turned.iter_mut().zip(&mut self.averages) {
             turned.resize(pixels, [0.0; BAND]);
             averages.resize(cells * BAND, 0.0);
         }
-        dispatch(self.arch, Take { averages: self, plane, first_row: band * BAND, squares });
+        dispatch(self.arch, Take { averages: self, plane, first_row, squares });
     }
 
-    /// Averages of the samples under row `row` of the band.
-    pub(super) fn means(&self, row: usize) -> &[f32] {
-        self.row(0, row)
+    /// Averages of the samples under the row that was taken last.
+    pub(super) fn means(&self) -> &[f32] {
+        self.of(0)
     }
 
-    /// Averages of the squares of the samples under row `row` of the band.
-    pub(super) fn squares(&self, row: usize) -> &[f32] {
-        self.row(1, row)
+    /// Averages of the squares of the samples under that row.
+    pub(super) fn squares(&self) -> &[f32] {
+        self.of(1)
     }
 
-    fn row(&self, power: usize, row: usize) -> &[f32] {
-        let start = row * self.cells.len();
+    fn of(&self, power: usize) -> &[f32] {
+        let start = self.row * self.width.next_multiple_of(BAND);
         self.averages[power].get(start..start + self.width).unwrap_or_default()
     }
 }
 
-/// [`Averages::take`] for whatever vectors there are: all that it calls is inlined, so that all of it gets them.
+/// [`Averages::take_band`] for whatever vectors there are: all that it calls is inlined, so that all of it gets them.
 struct Take<'a, 'b> {
     averages: &'a mut Averages,
     plane: &'a Plane<'b>,
@@ -363,12 +385,19 @@ mod tests {
         assert_eq!(out, [3.0; 2]);
     }
 
-    /// Every size class: up and down, whole and broken ratios, strips and bands that are not full, one and two bytes.
+    /// Every size class: up and down, whole and broken ratios, strips and bands that are not full, one and two bytes, by whole numbers and by fractions.
     #[test]
     fn averages_are_those_of_the_pixels_under_each_cell() {
-        for (width, height, columns, rows) in
-            [(37u32, 19u32, 10u32, 6u32), (160, 40, 64, 16), (100, 9, 170, 12), (1, 1, 4, 2), (530, 30, 8, 4)]
-        {
+        for (width, height, columns, rows) in [
+            (37u32, 19u32, 10u32, 6u32),
+            (160, 40, 64, 16),
+            (100, 9, 170, 12),
+            (1, 1, 4, 2),
+            (530, 30, 8, 4),
+            (240, 30, 64, 9),
+            (64, 16, 8, 2),
+            (96, 33, 6, 3),
+        ] {
             for wide in [false, true] {
                 let bytes = if wide { 2 } else { 1 };
                 let stride = width as usize * bytes + 5;
@@ -380,9 +409,9 @@ mod tests {
                 }
                 let plane = Plane { data: &data, stride, width, height, wide };
                 let mut averages = Averages::default();
-                for band in 0..rows.div_ceil(8) {
-                    averages.take(&plane, band as usize, (columns, rows), true);
-                    for (row, column) in (0..8.min(rows - band * 8)).flat_map(|row| (0..columns).map(move |column| (row, column))) {
+                for row in 0..rows {
+                    averages.take(&plane, row as usize, (columns, rows), true);
+                    for column in 0..columns {
                         let overlap = |cell: u32, cells: u32, pixel: u32, pixels: u32| {
                             let length = f64::from(pixels) / f64::from(cells);
                             let (start, end) = (f64::from(cell) * length, f64::from(cell + 1) * length);
@@ -390,11 +419,11 @@ mod tests {
                         };
                         let (mut mean, mut square) = (0.0, 0.0);
                         for (x, y) in (0..height).flat_map(|y| (0..width).map(move |x| (x, y))) {
-                            let share = overlap(column, columns, x, width) * overlap(band * 8 + row, rows, y, height);
+                            let share = overlap(column, columns, x, width) * overlap(row, rows, y, height);
                             mean += share * f64::from(code(x, y));
                             square += share * f64::from(code(x, y)).powi(2);
                         }
-                        let got = [averages.means(row as usize), averages.squares(row as usize)].map(|row| f64::from(row[column as usize]));
+                        let got = [averages.means(), averages.squares()].map(|row| f64::from(row[column as usize]));
                         // Single precision over at most 1200 products.
                         assert!(
                             (got[0] - mean).abs() <= 1e-5 * mean && (got[1] - square).abs() <= 1e-5 * square,

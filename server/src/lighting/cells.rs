@@ -10,11 +10,9 @@ use super::sampling::Grid;
 /// Rows of texels that are added in one go; the sides of squares are powers of two.
 const AT_ONCE: usize = 4;
 
-/// Means over squares of texels, weighted by solid angle, and where the squares lie; refilled from frame to frame without allocating.
+/// Means over squares of texels, weighted by solid angle; refilled from frame to frame without allocating.
 pub(super) struct Cells {
     columns: usize,
-    /// Where their middles look, and their solid angles.
-    pub(super) geometry: Geometry,
     /// Mean radiance, row by row from the top.
     pub(super) channels: Planes,
     arch: Arch,
@@ -30,7 +28,6 @@ impl Cells {
     pub(super) fn new(size: Grid, side: u32) -> Self {
         let side = side.max(1);
         let (columns, rows) = (size.width / side, size.height / side);
-        let geometry = Geometry::new(Grid { width: columns, height: rows, supersample: 1 });
         let texels = Geometry::new(size);
         let shares = texels.solid_angle_sr.chunks_exact(side as usize).flat_map(|rows| {
             let whole = rows.iter().sum::<f32>() * side as f32;
@@ -43,7 +40,6 @@ impl Cells {
             side: side as usize,
             shares: shares.collect(),
             sums: vec![0.0; size.width as usize],
-            geometry,
         }
     }
 
@@ -143,6 +139,7 @@ mod tests {
             // Twice: nothing of the first frame may stay.
             cells.take(&panorama);
             cells.take(&panorama);
+            let geometry = Geometry::new(Grid { width: 64 / side, height: 32 / side, supersample: 1 });
             let side = side as usize;
             for cell in 0..cells.channels[0].len() {
                 let (row, column) = (cell / cells.columns, cell % cells.columns);
@@ -151,9 +148,9 @@ mod tests {
                     energy += panorama.radiance(y * 64 + x) * panorama.geometry.solid_angle_sr[y];
                     solid_angle_sr += panorama.geometry.solid_angle_sr[y];
                 }
-                let got = cells.radiance(cell) * cells.geometry.solid_angle_sr[row];
+                let got = cells.radiance(cell) * geometry.solid_angle_sr[row];
                 assert!((got - energy).abs().max_element() < 1e-5 * energy.max_element(), "{side} {cell}: {got} against {energy}");
-                assert!((cells.geometry.solid_angle_sr[row] / solid_angle_sr - 1.0).abs() < 1e-5);
+                assert!((geometry.solid_angle_sr[row] / solid_angle_sr - 1.0).abs() < 1e-5);
             }
         }
     }

@@ -15,6 +15,7 @@ use mr360_shaders::sh::basis25;
 use super::bright::{Bright, Scene};
 use super::candidates::Candidates;
 use super::clipped::{self, Clipped, Sky};
+use super::luminance::{Luminance, Statistics};
 use super::panorama::Panorama;
 use super::recovery::{Recovered, Recoverer};
 use super::regions::{Regions, Topology, most_regions};
@@ -45,7 +46,7 @@ pub struct Directional {
     recoverer: Recoverer,
     series: Series,
     sh: [Vec3; SH25],
-    luminance: Vec<f32>,
+    luminance: Luminance,
     regions: Regions,
     candidates: Candidates,
     clipped: Clipped,
@@ -75,12 +76,13 @@ impl Directional {
 
     fn new(size: Grid, least_share: f64) -> Self {
         let (width, upper_rows) = (size.width as usize, size.height as usize / 2);
+        let (panorama, recoverer) = (Panorama::new(size, Lift::Linear), Recoverer::new(size));
         Self {
-            panorama: Panorama::new(size, Lift::Linear),
-            recoverer: Recoverer::new(size),
+            luminance: Luminance::new(&panorama.geometry, recoverer.rows_at_once()),
+            panorama,
+            recoverer,
             series: Series::new(size, SH25),
             sh: [Vec3::ZERO; SH25],
-            luminance: vec![0.0; width * upper_rows],
             regions: Regions::new(width, upper_rows),
             candidates: Candidates::new(most_regions(width, upper_rows)),
             clipped: Clipped::new(most_regions(width, upper_rows)),
@@ -93,49 +95,39 @@ impl Directional {
     }
 }
 
-/// Luminance of the upper hemisphere, weighted by solid angle.
-struct Statistics {
-    mean: f64,
-    deviation: f64,
-    peak: f64,
-    /// Luminance times solid angle, summed.
-    energy: f64,
-}
-
-impl Statistics {
-    /// μ + 2σ, but never more than half way from the mean to the peak. The first rises past white when a fifth of
-    /// the sky is clipped and no light would be left; the second keeps the clipped part above the threshold
-    /// whatever its share. With a sun in the frame the first is the lower by far.
-    fn threshold(&self) -> f32 {
-        (self.mean + 2.0 * self.deviation).min(0.5 * (self.mean + self.peak)) as f32
-    }
-}
-
 impl Directional {
-    fn statistics(&mut self) -> Statistics {
-        let width = self.panorama.size.width as usize;
-        let (mut first, mut second, mut solid_angle, mut peak) = (0.0, 0.0, 0.0, 0.0f32);
-        for (row, luminance) in self.luminance.chunks_exact_mut(width).enumerate() {
-            let [red, green, blue] = [0, 1, 2].map(|channel| self.panorama.row(channel, row));
-            for (((y, r), g), b) in luminance.iter_mut().zip(red).zip(green).zip(blue) {
-                *y = LUMA.x * r + LUMA.y * g + LUMA.z * b;
+    /// One sweep over the panorama: rows are looked at while they are in the cache.
+    fn sample(&mut self, frame: &Frame) -> Result<(), LightError> {
+        let Self { panorama, recoverer, luminance, .. } = self;
+        recoverer.begin();
+        panorama.take_by_rows(frame, recoverer.rows_at_once(), |rows| {
+            // True HDR is not recovered.
+            if rows.hdr {
+                luminance.see(rows);
+            } else {
+                recoverer.see(rows, luminance);
             }
-            let texel_sr = f64::from(self.panorama.geometry.solid_angle_sr[row]);
-            let (sum, squares, largest) = row_sums(luminance);
-            first += sum * texel_sr;
-            second += squares * texel_sr;
-            solid_angle += texel_sr * width as f64;
-            peak = peak.max(largest);
+        })
+    }
+
+    /// Recovers what is clipped, and projects all there is then. True HDR holds its highlights already, which may be so bright that it matters
+    /// where in a cell they are.
+    fn recover(&mut self, steps: &mut StepTimes) -> Option<Recovered> {
+        let Self { panorama, recoverer, luminance, series, sh, .. } = self;
+        if panorama.is_hdr() {
+            steps.time("sh", || series.project(panorama, sh));
+            return None;
         }
-        let mean = first / solid_angle;
-        let deviation = (second / solid_angle - mean * mean).max(0.0).sqrt();
-        Statistics { mean, deviation, peak: f64::from(peak), energy: first }
+        steps.time("sh", || recoverer.project(sh));
+        let recovered = steps.time("recover", || recoverer.recover(panorama, luminance))?;
+        steps.time("sh", || recoverer.project_hidden(series, &recovered, sh));
+        Some(recovered)
     }
 
     /// Observations of what is clipped in the upper hemisphere and of what else stands out of it. What is moved between them is moved in the SH, too.
     fn observe(&mut self, statistics: &Statistics, recovered: Option<&Recovered>, steps: &mut StepTimes) {
         let width = self.panorama.size.width as usize;
-        let degree = &self.recoverer.clipped()[..self.luminance.len()];
+        let degree = &self.recoverer.clipped()[..self.luminance.texels().len()];
         let curve = recovered.map(|recovered| recovered.curve);
         let sky = Sky {
             panorama: &self.panorama,
@@ -155,7 +147,7 @@ impl Directional {
         }
         let threshold = statistics.threshold();
         steps.time("regions", || {
-            self.regions.find(width, &self.luminance, Topology::Panorama, |luminance| luminance > threshold);
+            self.regions.find(width, self.luminance.texels(), Topology::Panorama, |luminance| luminance > threshold);
         });
         steps.time("candidates", || {
             self.candidates.collect(&self.panorama, &self.regions, LUMA, threshold);
@@ -179,34 +171,23 @@ impl Directional {
     }
 }
 
-/// Sum, sum of squares and largest value of a row. Side-by-side sums let the compiler add several at a time.
-fn row_sums(row: &[f32]) -> (f64, f64, f32) {
-    let (mut sums, mut squares, mut largest) = ([0.0f32; 8], [0.0f32; 8], [0.0f32; 8]);
-    for values in row.chunks_exact(8) {
-        for i in 0..8 {
-            sums[i] += values[i];
-            squares[i] += values[i] * values[i];
-            largest[i] = if values[i] > largest[i] { values[i] } else { largest[i] };
-        }
-    }
-    let total = |lanes: [f32; 8]| lanes.iter().map(|v| f64::from(*v)).sum();
-    (total(sums), total(squares), largest.into_iter().fold(0.0, f32::max))
-}
-
 impl LightMethod for Directional {
     fn name(&self) -> &'static str {
         "directional"
     }
 
     fn estimate(&mut self, frame: &Frame, steps: &mut StepTimes) -> Result<&Estimate, LightError> {
-        steps.time("sample", || self.panorama.take(frame))?;
-        // True HDR holds its highlights already.
-        let recovered = if self.panorama.is_hdr() { None } else { steps.time("recover", || self.recoverer.recover(&mut self.panorama)) };
-        let statistics = steps.time("threshold", || self.statistics());
-        steps.time("sh", || self.series.project(&self.panorama, &mut self.sh));
+        steps.time("sample", || self.sample(frame))?;
+        let recovered = self.recover(steps);
+        let statistics = steps.time("threshold", || self.luminance.statistics());
         self.observe(&statistics, recovered.as_ref(), steps);
         steps.time("track", || {
-            self.coarse.take(&self.panorama);
+            if self.panorama.is_hdr() {
+                self.coarse.take(&self.panorama);
+            } else {
+                let (cells, columns) = self.recoverer.cells();
+                self.coarse.take_cells(cells, columns);
+            }
             let view = View {
                 pts_us: frame.pts_us,
                 coarse: &self.coarse,

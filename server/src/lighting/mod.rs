@@ -28,6 +28,7 @@ mod every_method_over_time;
 mod iorns;
 mod kmeans;
 mod light_sum;
+mod luminance;
 mod mr360;
 mod panorama;
 #[cfg(test)]
@@ -46,6 +47,7 @@ mod spherical;
 #[cfg(test)]
 mod stability;
 mod steps;
+mod taps;
 #[cfg(test)]
 mod test_skies;
 mod track;

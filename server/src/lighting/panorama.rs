@@ -61,6 +61,41 @@ impl Geometry {
     }
 }
 
+/// Rows of texels that were just made and are in the cache still.
+pub(super) struct Rows<'a> {
+    /// Of the whole panorama.
+    pub(super) geometry: &'a Geometry,
+    /// Whether they are true HDR.
+    pub(super) hdr: bool,
+    /// The first one.
+    pub(super) first: usize,
+    /// How many there are.
+    pub(super) count: usize,
+    /// Their radiance.
+    channels: [&'a [f32]; 3],
+}
+
+impl Rows<'_> {
+    /// One channel of all of them.
+    #[inline(always)]
+    pub(super) fn channel(&self, channel: usize) -> &[f32] {
+        self.channels[channel]
+    }
+
+    /// One channel of the row with this index in the panorama.
+    #[inline(always)]
+    pub(super) fn row(&self, channel: usize, row: usize) -> &[f32] {
+        let (width, row) = (self.width(), row - self.first);
+        &self.channels[channel][row * width..(row + 1) * width]
+    }
+
+    /// Texels in a row.
+    #[inline(always)]
+    pub(super) fn width(&self) -> usize {
+        self.geometry.longitude.len()
+    }
+}
+
 /// A linear panorama of fixed size, refilled from frame to frame without allocating.
 pub(super) struct Panorama {
     /// Its size.
@@ -112,6 +147,13 @@ impl Panorama {
         &self.channels[channel][row * width..(row + 1) * width]
     }
 
+    /// Rows from `first` on.
+    pub(super) fn rows(&self, first: usize, count: usize) -> Rows<'_> {
+        let width = self.size.width as usize;
+        let channels = self.channels.each_ref().map(|channel| &channel[first * width..(first + count) * width]);
+        Rows { geometry: &self.geometry, hdr: self.is_hdr(), first, count, channels }
+    }
+
     /// Radiance of the texel with this index.
     pub(super) fn radiance(&self, texel: usize) -> Vec3 {
         Vec3::new(self.channels[0][texel], self.channels[1][texel], self.channels[2][texel])
@@ -129,17 +171,25 @@ impl Panorama {
     /// # Errors
     /// For an empty frame, a pixel format that ingest should have converted, or texels that do not fill the frame.
     pub(super) fn take(&mut self, frame: &Frame) -> Result<(), LightError> {
+        self.take_by_rows(frame, self.size.height as usize, |_| {})
+    }
+
+    /// The same, and shows every `count` rows to `see` as soon as they are there; the panorama's height is a multiple of that.
+    ///
+    /// # Errors
+    /// As [`Panorama::take`].
+    pub(super) fn take_by_rows(&mut self, frame: &Frame, count: usize, see: impl FnMut(&Rows<'_>)) -> Result<(), LightError> {
         self.mended = 0;
         match &frame.pixels {
             Pixels::Video(video, colour) => {
                 let view = VideoView::new(video, *colour, frame.stereo)?;
                 self.prepare(*colour);
-                self.take_video(&view);
+                self.take_video(&view, count, see);
             }
             Pixels::Rgb { width, height, texels, transfer } => {
                 let view = RgbView::new((*width, *height), texels, frame.stereo)?;
                 self.prepare(Colour { transfer: *transfer, ..Colour::default() });
-                self.take_rgb(&view);
+                self.take_rgb(&view, count, see);
             }
         }
         Ok(())
@@ -151,7 +201,7 @@ impl Panorama {
         }
     }
 
-    fn take_video(&mut self, view: &VideoView<'_>) {
+    fn take_video(&mut self, view: &VideoView<'_>, count: usize, mut see: impl FnMut(&Rows<'_>)) {
         let means = self.table.knows_means();
         let supersample = if means { self.size.supersample.div_ceil(BLOCKS_IN_MEANS) } else { self.size.supersample };
         let grid = Grid { supersample, ..self.size };
@@ -163,24 +213,30 @@ impl Panorama {
             let mut texels = self.channels.each_mut().map(|channel| &mut channel[row * width..(row + 1) * width]);
             if means && supersample == 1 {
                 self.table.decode_means(&codes, texels);
-                continue;
-            }
-            if means {
-                self.table.decode_means(&codes, self.blocks.each_mut().map(|plane| &mut plane[..]));
             } else {
-                codes.write(&mut self.blocks);
-                self.table.decode(&mut self.blocks);
+                if means {
+                    self.table.decode_means(&codes, self.blocks.each_mut().map(|plane| &mut plane[..]));
+                } else {
+                    codes.write(&mut self.blocks);
+                    self.table.decode(&mut self.blocks);
+                }
+                texels.iter_mut().zip(&self.blocks).for_each(|(texels, blocks)| gather(texels, blocks, supersample, part == 0));
             }
-            texels.iter_mut().zip(&self.blocks).for_each(|(texels, blocks)| gather(texels, blocks, supersample, part == 0));
+            if part + 1 == supersample && (row + 1).is_multiple_of(count) {
+                see(&self.rows(row + 1 - count, count));
+            }
         }
     }
 
-    fn take_rgb(&mut self, view: &RgbView<'_>) {
+    fn take_rgb(&mut self, view: &RgbView<'_>, count: usize, mut see: impl FnMut(&Rows<'_>)) {
         let width = self.size.width as usize;
-        for row in 0..self.size.height {
-            let texels = row as usize * width..(row as usize + 1) * width;
+        for row in 0..self.size.height as usize {
+            let texels = row * width..(row + 1) * width;
             let out = self.channels.each_mut().map(|channel| &mut channel[texels.clone()]);
-            self.mended += self.rgb.take_row(view, row, self.size, &self.table, out);
+            self.mended += self.rgb.take_row(view, row as u32, self.size, &self.table, out);
+            if (row + 1).is_multiple_of(count) {
+                see(&self.rows(row + 1 - count, count));
+            }
         }
     }
 }

@@ -4,9 +4,10 @@ use ffmpeg_next::format::Pixel;
 use glam::{Mat3, Vec3};
 use mr360_protocol::video::{Colour, StereoLayout};
 use mr360_shaders::colour::rgb_from_yuv;
+use pulp::{Arch, Simd, WithSimd};
 
 use super::LightError;
-use super::averages::{Averages, BAND, Plane};
+use super::averages::{Averages, Plane};
 use super::radiance::Planes;
 use crate::frame::SUPPORTED_PIXELS;
 
@@ -96,11 +97,17 @@ impl CodeRow<'_> {
 }
 
 /// Buffers for sampling video; reused from frame to frame.
-#[derive(Default)]
 pub(super) struct VideoSampler {
+    arch: Arch,
     luma: Averages,
     chroma: [Averages; 2],
     tint: Planes,
+}
+
+impl Default for VideoSampler {
+    fn default() -> Self {
+        Self { arch: Arch::new(), luma: Averages::default(), chroma: Default::default(), tint: Planes::default() }
+    }
 }
 
 impl VideoSampler {
@@ -115,12 +122,10 @@ impl VideoSampler {
             self.tint_row(view, row / blocks, grid);
         }
         let [luma, ..] = &view.planes;
-        if row.is_multiple_of(BAND) {
-            self.luma.take(luma, row / BAND, (grid.width * grid.supersample, grid.height * grid.supersample), squares);
-        }
+        self.luma.take(luma, row, (grid.width * grid.supersample, grid.height * grid.supersample), squares);
         CodeRow {
-            luma: self.luma.means(row % BAND),
-            luma_squares: if squares { self.luma.squares(row % BAND) } else { &[] },
+            luma: self.luma.means(),
+            luma_squares: if squares { self.luma.squares() } else { &[] },
             // The same for all three, in every matrix.
             luma_scale: view.rgb_from_yuv.x_axis.x * view.code_scale(),
             tint: &self.tint,
@@ -129,24 +134,53 @@ impl VideoSampler {
 
     fn tint_row(&mut self, view: &VideoView<'_>, row: usize, grid: Grid) {
         let [_, planes @ ..] = &view.planes;
-        if row.is_multiple_of(BAND) {
-            for (plane, chroma) in planes.iter().zip(&mut self.chroma) {
-                chroma.take(plane, row / BAND, (grid.width / CHROMA_TEXELS, grid.height / CHROMA_TEXELS), false);
-            }
+        for (plane, chroma) in planes.iter().zip(&mut self.chroma) {
+            chroma.take(plane, row, (grid.width / CHROMA_TEXELS, grid.height / CHROMA_TEXELS), false);
         }
-        let [cb, cr] = self.chroma.each_ref().map(|chroma| chroma.means(row % BAND));
-        let (m, scale) = (view.rgb_from_yuv, view.code_scale());
-        let shift = m * -view.offset;
-        for (channel, tint) in self.tint.iter_mut().enumerate() {
+        let repeat = (CHROMA_TEXELS * grid.supersample) as usize;
+        self.tint.iter_mut().for_each(|tint| tint.resize((grid.width * grid.supersample) as usize, 0.0));
+        let [cb, cr] = self.chroma.each_ref().map(Averages::means);
+        self.arch.dispatch(TintRow {
+            cb,
+            cr,
+            rgb_from_yuv: view.rgb_from_yuv,
+            offset: view.offset,
+            scale: view.code_scale(),
+            repeat,
+            tint: &mut self.tint,
+        });
+    }
+}
+
+/// What the chroma of a row gives to R', G' and B', `repeat` times each.
+struct TintRow<'a> {
+    cb: &'a [f32],
+    cr: &'a [f32],
+    rgb_from_yuv: Mat3,
+    offset: Vec3,
+    scale: f32,
+    repeat: usize,
+    tint: &'a mut Planes,
+}
+
+impl WithSimd for TintRow<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { cb, cr, rgb_from_yuv: m, offset, scale, repeat, tint } = self;
+        let shift = m * -offset;
+        for (channel, tint) in tint.iter_mut().enumerate() {
             let (from_cb, from_cr, shift) = (m.y_axis[channel] * scale, m.z_axis[channel] * scale, shift[channel]);
-            let codes = cb.iter().zip(cr).map(|(cb, cr)| from_cb * cb + from_cr * cr + shift);
-            tint.resize((grid.width * grid.supersample) as usize, 0.0);
             // Nearly always one block a texel: pairs are written much faster than runs of any length.
-            if grid.supersample == 1 {
-                tint.as_chunks_mut().0.iter_mut().zip(codes).for_each(|(blocks, code)| *blocks = [code; CHROMA_TEXELS as usize]);
+            if repeat == CHROMA_TEXELS as usize {
+                for ((blocks, cb), cr) in tint.as_chunks_mut().0.iter_mut().zip(cb).zip(cr) {
+                    *blocks = [from_cb * cb + from_cr * cr + shift; CHROMA_TEXELS as usize];
+                }
             } else {
-                let repeat = (CHROMA_TEXELS * grid.supersample) as usize;
-                tint.chunks_exact_mut(repeat).zip(codes).for_each(|(blocks, code)| blocks.fill(code));
+                for ((blocks, cb), cr) in tint.chunks_exact_mut(repeat).zip(cb).zip(cr) {
+                    blocks.fill(from_cb * cb + from_cr * cr + shift);
+                }
             }
         }
     }

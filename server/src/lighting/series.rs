@@ -13,6 +13,7 @@ use mr360_shaders::sh::basis25;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::panorama::Panorama;
+use super::radiance::Planes;
 use super::sampling::Grid;
 
 /// 1, and sin mλ and cos mλ for every m up to 4.
@@ -70,14 +71,33 @@ impl Series {
 
     /// Writes the coefficients of the panorama's radiance into `sh`, which is as long as the tables are deep.
     pub(super) fn project(&self, panorama: &Panorama, sh: &mut [Vec3]) {
-        self.arch.dispatch(Project { series: self, panorama, sh });
+        self.project_planes(&panorama.channels, sh);
+    }
+
+    /// The same for any three planes of the size that the tables are for.
+    pub(super) fn project_planes(&self, planes: &Planes, sh: &mut [Vec3]) {
+        self.arch.dispatch(Project { series: self, planes, sh });
+    }
+
+    /// Coefficients of a plane of which only these rows are not zero; as many as the tables are deep.
+    pub(super) fn project_rows<'a>(&self, rows: impl Iterator<Item = (usize, &'a [f32])>) -> [f64; SH25] {
+        let mut sums = [0.0; SH25];
+        for (row, values) in rows {
+            self.arch.dispatch(AddRow { series: self, row, values, sums: &mut sums });
+        }
+        sums
+    }
+
+    /// Columns of a row.
+    fn width(&self) -> usize {
+        4 * self.harmonics.first().map_or(0, Vec::len)
     }
 }
 
-/// [`Series::project`] for whatever vectors there are.
+/// [`Series::project_planes`] for whatever vectors there are.
 struct Project<'a> {
     series: &'a Series,
-    panorama: &'a Panorama,
+    planes: &'a Planes,
     sh: &'a mut [Vec3],
 }
 
@@ -94,23 +114,55 @@ impl Project<'_> {
     #[inline(always)]
     fn run<S: Simd, const MOMENTS: usize, const DEPTH: usize>(self, simd: S) {
         let mut sums = [[0.0f64; DEPTH]; 3];
-        let weights = self.series.weights.as_chunks::<DEPTH>().0.as_chunks::<MOMENTS_OF_EACH>().0;
-        for (row, weights) in weights.iter().enumerate() {
-            for (channel, sums) in sums.iter_mut().enumerate() {
-                let of_row = moments::<S, MOMENTS>(simd, self.panorama.row(channel, row), &self.series.harmonics);
-                for (moments, weights) in self.series.moments.iter().zip(weights) {
-                    let mut of_coefficients = [0.0; DEPTH];
-                    for (moment, k) in of_coefficients.iter_mut().zip(moments) {
-                        *moment = of_row[*k % MOMENTS];
-                    }
-                    for i in 0..DEPTH {
-                        sums[i] += f64::from(of_coefficients[i]) * weights[i];
-                    }
-                }
+        let width = self.series.width();
+        for (channel, sums) in self.planes.iter().zip(&mut sums) {
+            for (row, values) in channel.chunks_exact(width).enumerate() {
+                self.series.add_row::<S, MOMENTS, DEPTH>(simd, row, values, sums);
             }
         }
         for (i, out) in self.sh.iter_mut().take(DEPTH.min(self.series.coefficients)).enumerate() {
             *out = DVec3::from_array(sums.map(|sums| sums[i])).as_vec3();
+        }
+    }
+}
+
+/// Adds one row to the coefficients of one channel.
+struct AddRow<'a> {
+    series: &'a Series,
+    row: usize,
+    values: &'a [f32],
+    sums: &'a mut [f64; SH25],
+}
+
+impl WithSimd for AddRow<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { series, row, values, sums } = self;
+        if series.coefficients <= SH9 {
+            if let Some(sums) = sums.first_chunk_mut() {
+                series.add_row::<S, 5, SH9>(simd, row, values, sums);
+            }
+        } else {
+            series.add_row::<S, 9, SH25>(simd, row, values, sums);
+        }
+    }
+}
+
+impl Series {
+    #[inline(always)]
+    fn add_row<S: Simd, const MOMENTS: usize, const DEPTH: usize>(&self, simd: S, row: usize, values: &[f32], sums: &mut [f64; DEPTH]) {
+        let Some(weights) = self.weights.as_chunks::<DEPTH>().0.as_chunks::<MOMENTS_OF_EACH>().0.get(row) else { return };
+        let of_row = moments::<S, MOMENTS>(simd, values, &self.harmonics);
+        for (moments, weights) in self.moments.iter().zip(weights) {
+            let mut of_coefficients = [0.0; DEPTH];
+            for (moment, k) in of_coefficients.iter_mut().zip(moments) {
+                *moment = of_row[*k % MOMENTS];
+            }
+            for i in 0..DEPTH {
+                sums[i] += f64::from(of_coefficients[i]) * weights[i];
+            }
         }
     }
 }
@@ -252,6 +304,21 @@ mod tests {
         for (got, expected) in got.iter().zip(expected) {
             // Coefficients reach 10; the parts' midpoints are off by (15°/12)²/24·l² or 1e-4 of them.
             assert!((got.as_dvec3() - expected).abs().max_element() < 2e-3, "{got} against {expected}");
+        }
+    }
+
+    #[test]
+    fn rows_add_up_to_the_whole() {
+        let size = Grid { width: 28, height: 14, supersample: 1 };
+        let panorama = filled(size);
+        for coefficients in [SH9, SH25] {
+            let series = Series::new(size, coefficients);
+            let mut whole = [Vec3::ZERO; SH25];
+            series.project(&panorama, &mut whole[..coefficients]);
+            // From the bottom up: any order will do.
+            let got = series.project_rows((0..14).rev().map(|row| (row, panorama.row(1, row))));
+            assert!(got.iter().zip(whole).all(|(got, whole)| (got - f64::from(whole.y)).abs() < 1e-5), "{got:?} against {whole:?}");
+            assert_eq!(series.project_rows([(14, panorama.row(1, 0))].into_iter()), [0.0; SH25]);
         }
     }
 

@@ -1,10 +1,10 @@
 //! Sums over the cells of a panorama: what is clipped, and what the rest shows.
 
-use glam::Vec3;
 use mr360_shaders::colour::{CLIPPED, LUMA};
 use pulp::{Arch, Simd, WithSimd};
 
-use crate::lighting::panorama::Panorama;
+use crate::lighting::luminance::{self, Part};
+use crate::lighting::panorama::{Geometry, Rows};
 use crate::lighting::radiance::Planes;
 use crate::lighting::sampling::Grid;
 use crate::lighting::vectors::{add_sides, load, store, vectors};
@@ -30,10 +30,12 @@ pub(super) struct Cells {
     pub(super) directions: Planes,
     /// Degree to which each texel is clipped in all channels.
     pub(super) clipped: Vec<f32>,
-    /// Luminance of each texel's clipped channels, as shown; left from earlier frames outside of patches that hold any.
+    /// Luminance of each texel's clipped channels: as shown, until it is replaced by what is added to it.
     pub(super) lit: Vec<f32>,
     /// Whether any channel is clipped in a patch: one vector of texels wide and one cell high, rows after each other.
     pub(super) hot: Vec<bool>,
+    /// Mean radiance.
+    pub(super) radiance: Planes,
     /// Share of the cell that is clipped in all channels.
     pub(super) clipped_share: Vec<f32>,
     /// Share of the cell that no channel is clipped in.
@@ -51,6 +53,11 @@ pub(super) struct Cells {
     /// Luminous irradiance on level ground, and that of a ground as bright as this one if it were white.
     sky: f64,
     ground: f64,
+    /// What the ground's would be if its radiance were 1.
+    ground_weight: f64,
+    /// Weight of each row of texels in that of its hemisphere: solid angle of a texel times the sine of its distance from the horizon, and
+    /// nothing between horizon and ground.
+    levels: Vec<f32>,
     sums: Sums,
     arch: Arch,
 }
@@ -77,6 +84,10 @@ impl Cells {
             let uv = glam::Vec2::new(((cell % columns) as f32 + 0.5) / columns as f32, ((cell / columns) as f32 + 0.5) / rows as f32);
             mr360_shaders::equirect::direction_from_uv(uv)
         };
+        let geometry = Geometry::new(size);
+        let level =
+            |((sine, _), texel_sr): (&(f32, f32), &f32)| if *sine > 0.0 || *sine < -GROUND_SINE { sine.abs() * texel_sr } else { 0.0 };
+        let levels: Vec<f32> = geometry.sin_cos_latitude.iter().zip(&geometry.solid_angle_sr).map(level).collect();
         let field = || vec![0.0; columns * rows];
         let sums = || vec![0.0; width];
         Self {
@@ -90,6 +101,7 @@ impl Cells {
             lit: vec![0.0; width * height],
             // As many as there are patches of a single texel: how wide vectors are is not known here.
             hot: vec![false; width * rows],
+            radiance: std::array::from_fn(|_| field()),
             clipped_share: field(),
             open_share: field(),
             shown: field(),
@@ -99,6 +111,8 @@ impl Cells {
             flux: 0.0,
             sky: 0.0,
             ground: 0.0,
+            ground_weight: levels[height / 2..].iter().map(|level| f64::from(*level)).sum::<f64>() * width as f64,
+            levels,
             sums: Sums { open_rgb: std::array::from_fn(|_| sums()), brightest: sums(), all: sums(), any: sums(), clipped_flux: sums() },
             arch: Arch::new(),
         }
@@ -106,74 +120,102 @@ impl Cells {
 
     /// How bright the ground is under what the sky shows, as a logarithm: ln(π·ground/sky) for a ground of that mean radiance.
     pub(super) fn ground_ln(&self) -> f32 {
-        (self.ground / self.sky.max(1e-9) + GROUND_FLOOR).ln() as f32
+        let ground = if self.ground_weight > 0.0 { std::f64::consts::PI * self.ground / self.ground_weight } else { 0.0 };
+        (ground / self.sky.max(1e-9) + GROUND_FLOOR).ln() as f32
     }
 
-    /// Sums up a panorama of the size that the cells were made for.
-    pub(super) fn take(&mut self, panorama: &Panorama) {
-        self.arch.dispatch(Take { cells: self, panorama });
+    /// Begins a panorama.
+    pub(super) fn begin(&mut self) {
+        (self.clipped_sr, self.flux, self.sky, self.ground) = (0.0, 0.0, 0.0, 0.0);
+    }
+
+    /// Takes in the texels of one row of cells, in a panorama of the size that the cells were made for, and writes their luminance where there is
+    /// room for it: in the upper hemisphere.
+    pub(super) fn take(&mut self, rows: &Rows<'_>, luminance: Option<Part<'_>>) {
+        self.arch.dispatch(Take { cells: self, rows, luminance });
     }
 }
 
 /// [`Cells::take`] for whatever vectors there are.
-struct Take<'a> {
+struct Take<'a, 'b> {
     cells: &'a mut Cells,
-    panorama: &'a Panorama,
+    rows: &'a Rows<'b>,
+    luminance: Option<Part<'a>>,
 }
 
-impl WithSimd for Take<'_> {
+impl WithSimd for Take<'_, '_> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: Simd>(mut self, simd: S) {
-        let side = self.cells.side;
-        let geometry = &self.panorama.geometry;
-        let width = self.panorama.size.width as usize;
-        (self.cells.clipped_sr, self.cells.flux, self.cells.sky) = (0.0, 0.0, 0.0);
-        let (mut ground, mut ground_weight) = (0.0, 0.0);
-        // From the bottom up: the last rows that were sampled are in the cache still.
-        for row in (0..self.cells.rows).rev() {
-            let Sums { open_rgb: [red, green, blue], brightest, .. } = &mut self.cells.sums;
-            [red, green, blue, brightest].into_iter().for_each(|sums| sums.fill(0.0));
-            for texel_row in row * side..(row + 1) * side {
-                let (sine, solid_angle_sr) = (geometry.sin_cos_latitude[texel_row].0, geometry.solid_angle_sr[texel_row]);
-                let flux = f64::from(LUMA.dot(self.add_texels(simd, texel_row)) * solid_angle_sr);
-                self.cells.flux += flux;
-                let weight = f64::from(sine.abs());
-                if sine > 0.0 {
-                    self.cells.sky += weight * flux;
-                } else if sine < -GROUND_SINE {
-                    ground += weight * flux;
-                    ground_weight += weight * f64::from(solid_angle_sr) * width as f64;
-                }
-            }
-            let any = self.correct_clipped(simd, row);
-            self.finish(row, any);
+        let row = self.rows.first / self.cells.side;
+        match self.luminance.take() {
+            Some(part) => self.add_texels::<S, true>(simd, part.texels, part.sums),
+            None => self.add_texels::<S, false>(simd, &mut [], &mut luminance::Sums::default()),
         }
-        self.cells.ground = if ground_weight > 0.0 { std::f64::consts::PI * ground / ground_weight } else { 0.0 };
+        self.average(row);
+        let any = self.correct_clipped(simd, row);
+        self.finish(row, any);
     }
 }
 
-impl Take<'_> {
-    /// Adds a row of texels to the sums as if nothing were clipped; returns the sum of its radiance.
+impl Take<'_, '_> {
+    /// Sums the texels up as if nothing were clipped; `UPPER` ones leave their luminance and its sums.
     #[inline(always)]
-    fn add_texels<S: Simd>(&mut self, simd: S, texel_row: usize) -> Vec3 {
+    fn add_texels<S: Simd, const UPPER: bool>(&mut self, simd: S, texels: &mut [f32], of_luminance: &mut luminance::Sums) {
+        let Rows { geometry, first, count, .. } = *self.rows;
         let Sums { open_rgb: [reds, greens, blues], brightest, .. } = &mut self.cells.sums;
-        let solid_angle_sr = simd.splat_f32s(self.panorama.geometry.solid_angle_sr[texel_row]);
-        let [r, g, b] = [self.panorama.row(0, texel_row), self.panorama.row(1, texel_row), self.panorama.row(2, texel_row)];
+        let (texels_sr, levels) = (&geometry.solid_angle_sr[first..first + count], &self.cells.levels[first..first + count]);
+        let (r, g, b) = (self.rows.channel(0), self.rows.channel(1), self.rows.channel(2));
         let (r, g, b) = (S::as_simd_f32s(r).0, S::as_simd_f32s(g).0, S::as_simd_f32s(b).0);
-        let (reds, greens, blues) = (S::as_mut_simd_f32s(reds).0, S::as_mut_simd_f32s(greens).0, S::as_mut_simd_f32s(blues).0);
-        let mut of_row = [simd.splat_f32s(0.0); 3];
-        let sums = reds.iter_mut().zip(greens).zip(blues).zip(S::as_mut_simd_f32s(brightest).0);
-        for ((((((reds, greens), blues), brightest), r), g), b) in sums.zip(r).zip(g).zip(b) {
-            of_row = [simd.add_f32s(of_row[0], *r), simd.add_f32s(of_row[1], *g), simd.add_f32s(of_row[2], *b)];
-            *reds = simd.add_f32s(*reds, simd.mul_f32s(*r, solid_angle_sr));
-            *greens = simd.add_f32s(*greens, simd.mul_f32s(*g, solid_angle_sr));
-            *blues = simd.add_f32s(*blues, simd.mul_f32s(*b, solid_angle_sr));
-            *brightest = simd.max_f32s(*brightest, simd.max_f32s(simd.max_f32s(*r, *g), *b));
+        let texels = S::as_mut_simd_f32s(texels).0;
+        let zero = simd.splat_f32s(0.0);
+        let (mut energy, mut level, mut squares, mut peak) = (zero, zero, zero, zero);
+        let in_row = vectors::<S>(brightest.len());
+        for vector in 0..in_row {
+            let (mut red, mut green, mut blue, mut most) = (zero, zero, zero, zero);
+            for (row, (texel_sr, level_sr)) in texels_sr.iter().zip(levels).enumerate() {
+                let at = row * in_row + vector;
+                let (r, g, b, texel_sr) = (r[at], g[at], b[at], simd.splat_f32s(*texel_sr));
+                red = simd.add_f32s(red, simd.mul_f32s(r, texel_sr));
+                green = simd.add_f32s(green, simd.mul_f32s(g, texel_sr));
+                blue = simd.add_f32s(blue, simd.mul_f32s(b, texel_sr));
+                most = simd.max_f32s(most, simd.max_f32s(simd.max_f32s(r, g), b));
+                let luminance = luminance::of(simd, r, g, b);
+                let flux = simd.mul_f32s(luminance, texel_sr);
+                energy = simd.add_f32s(energy, flux);
+                level = simd.add_f32s(level, simd.mul_f32s(luminance, simd.splat_f32s(*level_sr)));
+                if UPPER {
+                    squares = simd.add_f32s(squares, simd.mul_f32s(flux, luminance));
+                    peak = simd.max_f32s(peak, luminance);
+                    texels[at] = luminance;
+                }
+            }
+            store(simd, reds, vector, red);
+            store(simd, greens, vector, green);
+            store(simd, blues, vector, blue);
+            store(simd, brightest, vector, most);
         }
-        let [red, green, blue] = of_row;
-        Vec3::new(simd.reduce_sum_f32s(red), simd.reduce_sum_f32s(green), simd.reduce_sum_f32s(blue))
+        let (energy, level) = (f64::from(simd.reduce_sum_f32s(energy)), f64::from(simd.reduce_sum_f32s(level)));
+        self.cells.flux += energy;
+        *(if UPPER { &mut self.cells.sky } else { &mut self.cells.ground }) += level;
+        if UPPER {
+            *of_luminance = luminance::Sums { energy, squares: f64::from(simd.reduce_sum_f32s(squares)), peak: simd.reduce_max_f32s(peak) };
+        }
+    }
+
+    /// From the sums over a row of cells to its mean radiance.
+    #[inline(always)]
+    fn average(&mut self, row: usize) {
+        let Cells { columns, side, solid_angle_sr, radiance, sums, .. } = &mut *self.cells;
+        let share = 1.0 / solid_angle_sr[row];
+        for (radiance, sums) in radiance.iter_mut().zip(&sums.open_rgb) {
+            let radiance = &mut radiance[row * *columns..(row + 1) * *columns];
+            add_sides(sums, *side, radiance);
+            for radiance in radiance {
+                *radiance *= share;
+            }
+        }
     }
 
     /// Corrects the sums over a row of cells for its clipped texels; returns whether there are any.
@@ -194,7 +236,9 @@ impl Take<'_> {
                 self.correct_patch(simd, row, patch);
             } else if was_hot {
                 for texel_row in row * side..(row + 1) * side {
-                    store(simd, &mut self.cells.clipped[texel_row * width..(texel_row + 1) * width], patch, simd.splat_f32s(0.0));
+                    let texels = texel_row * width..(texel_row + 1) * width;
+                    store(simd, &mut self.cells.clipped[texels.clone()], patch, simd.splat_f32s(0.0));
+                    store(simd, &mut self.cells.lit[texels], patch, simd.splat_f32s(0.0));
                 }
             }
         }
@@ -211,10 +255,10 @@ impl Take<'_> {
         let mut open = [load(simd, &sums.open_rgb[0], patch), load(simd, &sums.open_rgb[1], patch), load(simd, &sums.open_rgb[2], patch)];
         for texel_row in row * *side..(row + 1) * *side {
             let texels = texel_row * width..(texel_row + 1) * width;
-            let solid_angle_sr = simd.splat_f32s(self.panorama.geometry.solid_angle_sr[texel_row]);
+            let solid_angle_sr = simd.splat_f32s(self.rows.geometry.solid_angle_sr[texel_row]);
             let (mut radiance, mut degree, mut luminance) = ([zero; 3], [zero; 3], zero);
             for channel in 0..3 {
-                radiance[channel] = load(simd, &self.panorama.channels[channel][texels.clone()], patch);
+                radiance[channel] = load(simd, self.rows.row(channel, texel_row), patch);
                 degree[channel] = clipped_degree(simd, radiance[channel]);
                 let shown = simd.mul_f32s(radiance[channel], degree[channel]);
                 luminance = simd.add_f32s(luminance, simd.mul_f32s(shown, simd.splat_f32s(LUMA.to_array()[channel])));
@@ -263,11 +307,13 @@ impl Take<'_> {
         add_sides(&sums.all, *side, clipped_share);
         add_sides(&sums.any, *side, open_share);
         add_sides(&sums.clipped_flux, *side, clipped_flux);
+        let mut of_row = 0.0;
         for (clipped, open) in clipped_share.iter_mut().zip(open_share) {
-            *clipped_sr += f64::from(*open);
+            of_row += f64::from(*open);
             *clipped *= share;
             *open = 1.0 - share * *open;
         }
+        *clipped_sr += of_row;
     }
 }
 

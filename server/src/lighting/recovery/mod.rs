@@ -10,12 +10,15 @@
 //! How sure all this is, is said with it: [`Recovered::sigma`].
 
 use glam::Vec3;
-use mr360_protocol::light::{MAX_TINT_LN, Recovery};
+use mr360_protocol::light::{MAX_TINT_LN, Recovery, SH25};
 use mr360_shaders::colour::recovery_tint;
 use pulp::{Arch, Simd, WithSimd};
 
-use super::panorama::Panorama;
+use super::luminance::Luminance;
+use super::panorama::{Panorama, Rows};
+use super::radiance::Planes;
 use super::sampling::Grid;
+use super::series::Series;
 
 mod blur;
 mod cells;
@@ -61,6 +64,8 @@ pub(super) struct Recoverer {
     gains: Vec<f32>,
     /// The same at each column of texels, along one row of cells.
     gains_of_row: Vec<f32>,
+    /// Of the cells.
+    series: Series,
     arch: Arch,
 }
 
@@ -79,14 +84,58 @@ impl Recoverer {
             places: Places::new(count),
             gains: field(),
             gains_of_row: vec![0.0; size.width as usize],
+            series: Series::new(Grid { width: cells.columns as u32, height: cells.rows as u32, supersample: 1 }, SH25),
             arch: Arch::new(),
             cells,
         }
     }
 
-    /// Brightens the clipped texels of a linear panorama, whose display white is 1. None when there are none.
-    pub(super) fn recover(&mut self, panorama: &mut Panorama) -> Option<Recovered> {
-        self.cells.take(panorama);
+    /// Begins a panorama.
+    pub(super) fn begin(&mut self) {
+        self.cells.begin();
+    }
+
+    /// How many rows of texels are seen at once.
+    pub(super) fn rows_at_once(&self) -> usize {
+        self.cells.side
+    }
+
+    /// Sees the next rows of a linear panorama, whose display white is 1, and writes their luminance.
+    pub(super) fn see(&mut self, rows: &Rows<'_>, luminance: &mut Luminance) {
+        self.cells.take(rows, luminance.part(rows.first));
+    }
+
+    /// Writes the coefficients of the panorama as it was seen. What is shown is white at most, and even over a cell to within a thousandth.
+    pub(super) fn project(&self, sh: &mut [Vec3; SH25]) {
+        self.series.project_planes(&self.cells.radiance, sh);
+    }
+
+    /// Adds the coefficients of what was recovered: a few bright texels, each where it is; `texels` is the panorama's.
+    pub(super) fn project_hidden(&self, texels: &Series, recovered: &Recovered, sh: &mut [Vec3; SH25]) {
+        let hidden = texels.project_rows(self.brightened_rows().map(|row| (row, self.row_of(&self.cells.lit, row))));
+        let tint = recovery_tint(&recovered.curve);
+        sh.iter_mut().zip(hidden).for_each(|(sum, hidden)| *sum += tint * hidden as f32);
+    }
+
+    /// Rows of texels that recovery may have brightened.
+    fn brightened_rows(&self) -> impl Iterator<Item = usize> {
+        let (side, width) = (self.cells.side, self.gains_of_row.len());
+        let rows = self.cells.hot.chunks_exact(width).enumerate().filter(|(_, hot)| hot.contains(&true));
+        rows.flat_map(move |(row, _)| row * side..(row + 1) * side)
+    }
+
+    fn row_of<'a>(&self, texels: &'a [f32], row: usize) -> &'a [f32] {
+        let width = self.gains_of_row.len();
+        &texels[row * width..(row + 1) * width]
+    }
+
+    /// Mean radiance of the panorama's cells, as it is now, and how many make a row.
+    pub(super) fn cells(&self) -> (&Planes, usize) {
+        (&self.cells.radiance, self.cells.columns)
+    }
+
+    /// Brightens the clipped texels of a panorama that was seen, and their luminance. None when there are none.
+    pub(super) fn recover(&mut self, panorama: &mut Panorama, luminance: &mut Luminance) -> Option<Recovered> {
         if self.cells.clipped_sr <= 0.0 {
             return None;
         }
@@ -94,7 +143,7 @@ impl Recoverer {
         let tint_ln = self.arch.dispatch(RimSums { recoverer: self }).tint_ln();
         let (gain_ln, slope) = curve::through(self.arch, &mut self.places);
         let curve = Recovery { gain_ln, slope, tint_ln };
-        let hidden = self.brighten(panorama, &curve);
+        let hidden = self.brighten(panorama, luminance, &curve);
         let hidden_share = (hidden / (hidden + self.cells.flux)) as f32;
         let clipped_share = (self.cells.clipped_sr / (4.0 * std::f64::consts::PI)) as f32;
         Some(Recovered { curve, hidden_share, sigma: excess::sigma(self.cells.ground_ln(), clipped_share, hidden_share) })
@@ -121,12 +170,21 @@ impl Recoverer {
     }
 
     /// Adds what the curve says; returns the luminous flux added. The curve is read once a cell: over its 2.8° the error of that averages out.
-    fn brighten(&mut self, panorama: &mut Panorama, curve: &Recovery) -> f64 {
+    fn brighten(&mut self, panorama: &mut Panorama, luminance: &mut Luminance, curve: &Recovery) -> f64 {
         curve::gains(self.arch, &mut self.places, curve);
         for (cell, gain) in self.places.cells.iter().zip(&self.places.exponentials) {
             self.gains[*cell as usize] = *gain;
         }
-        self.arch.dispatch(Brighten { recoverer: self, panorama, tint: recovery_tint(curve) })
+        let tint = recovery_tint(curve);
+        let Places { cells, exponentials, clipped_flux, .. } = &self.places;
+        for ((cell, gain), flux) in cells.iter().zip(exponentials).zip(clipped_flux) {
+            let cell = *cell as usize;
+            let added = gain * flux / self.cells.solid_angle_sr[cell / self.cells.columns];
+            for channel in 0..3 {
+                self.cells.radiance[channel][cell] += tint[channel] * added;
+            }
+        }
+        self.arch.dispatch(Brighten { recoverer: self, panorama, luminance, tint })
     }
 }
 
@@ -192,10 +250,12 @@ impl WithSimd for RimSums<'_> {
     }
 }
 
-/// Adds the gains times what is clipped to a panorama.
+/// Adds the gains times what is clipped to a panorama, and leaves what was added in its place.
 struct Brighten<'a> {
     recoverer: &'a mut Recoverer,
     panorama: &'a mut Panorama,
+    luminance: &'a mut Luminance,
+    /// Of luminance 1.
     tint: Vec3,
 }
 
@@ -215,22 +275,44 @@ impl WithSimd for Brighten<'_> {
                 continue;
             }
             repeat_sides(gains, cells.side, gains_of_row);
+            let mut upper = self.luminance.part(row * cells.side);
+            let mut peak = simd.splat_f32s(0.0);
             for texel_row in row * cells.side..(row + 1) * cells.side {
                 let texels = texel_row * width..(texel_row + 1) * width;
-                let mut of_row = simd.splat_f32s(0.0);
+                let zero = simd.splat_f32s(0.0);
+                let (mut of_row, mut squares) = (zero, zero);
                 for (patch, hot) in hot.iter().enumerate() {
                     if !hot {
                         continue;
                     }
                     let added = simd.mul_f32s(load(simd, &cells.lit[texels.clone()], patch), load(simd, gains_of_row, patch));
+                    store(simd, &mut cells.lit[texels.clone()], patch, added);
                     of_row = simd.add_f32s(of_row, added);
                     for (channel, tint) in channels.iter_mut().zip(&tint) {
                         let row = &mut channel[texels.clone()];
                         let radiance = simd.add_f32s(load(simd, row, patch), simd.mul_f32s(added, *tint));
                         store(simd, row, patch, radiance);
                     }
+                    if let Some(part) = &mut upper {
+                        let first = (texel_row - row * cells.side) * width;
+                        let row = &mut part.texels[first..first + width];
+                        let shown = load(simd, row, patch);
+                        let luminance = simd.add_f32s(shown, added);
+                        store(simd, row, patch, luminance);
+                        squares = simd.add_f32s(squares, simd.mul_f32s(simd.add_f32s(shown, luminance), added));
+                        peak = simd.max_f32s(peak, luminance);
+                    }
                 }
-                hidden += f64::from(simd.reduce_sum_f32s(of_row) * geometry.solid_angle_sr[texel_row]);
+                let texel_sr = f64::from(geometry.solid_angle_sr[texel_row]);
+                let energy = f64::from(simd.reduce_sum_f32s(of_row)) * texel_sr;
+                hidden += energy;
+                if let Some(part) = &mut upper {
+                    part.sums.energy += energy;
+                    part.sums.squares += f64::from(simd.reduce_sum_f32s(squares)) * texel_sr;
+                }
+            }
+            if let Some(part) = &mut upper {
+                part.sums.peak = part.sums.peak.max(simd.reduce_max_f32s(peak));
             }
         }
         hidden

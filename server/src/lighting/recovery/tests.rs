@@ -5,6 +5,7 @@ use mr360_protocol::light::Lift;
 use mr360_shaders::colour::{luminance, recovered};
 
 use super::*;
+use crate::lighting::panorama::Geometry;
 
 const SIZE: Grid = Grid { width: 512, height: 256, supersample: 1 };
 
@@ -32,6 +33,18 @@ fn scene(to_light: Vec3, half_angle_deg: f32, ground: f32) -> impl Fn(Vec3) -> V
     }
 }
 
+/// Shows the panorama to the recoverer, and has it brightened.
+fn recover(recoverer: &mut Recoverer, panorama: &mut Panorama) -> Option<Recovered> {
+    recover_with(recoverer, panorama, &mut Luminance::new(&Geometry::new(SIZE), recoverer.rows_at_once()))
+}
+
+fn recover_with(recoverer: &mut Recoverer, panorama: &mut Panorama, luminance: &mut Luminance) -> Option<Recovered> {
+    recoverer.begin();
+    let count = recoverer.rows_at_once();
+    (0..panorama.size.height as usize / count).for_each(|row| recoverer.see(&panorama.rows(row * count, count), luminance));
+    recoverer.recover(panorama, luminance)
+}
+
 fn flux(panorama: &Panorama) -> f64 {
     let row = |row: usize| {
         let sum: f64 = (0..512).map(|column| f64::from(luminance(panorama.radiance(row * 512 + column)))).sum();
@@ -54,7 +67,7 @@ fn the_regression_agrees_with_its_reference() {
 fn a_frame_without_clipped_texels_is_left_as_it_is() {
     let even = |d: Vec3| Vec3::splat(0.5 + 0.41 * d.y);
     let mut panorama = panorama(even);
-    assert_eq!(Recoverer::new(SIZE).recover(&mut panorama), None);
+    assert_eq!(recover(&mut Recoverer::new(SIZE), &mut panorama), None);
     assert!((0..512 * 256).all(|texel| panorama.radiance(texel) == even(panorama.geometry.direction(texel / 512, texel % 512))));
 }
 
@@ -64,7 +77,7 @@ fn what_is_added_is_what_the_curve_says_and_what_is_reported() {
     let mut panorama = panorama(scene(to_light, 5.0, 0.25));
     let before = flux(&panorama);
     let shown: Vec<Vec3> = (0..512 * 256).map(|texel| panorama.radiance(texel)).collect();
-    let found = Recoverer::new(SIZE).recover(&mut panorama).unwrap();
+    let found = recover(&mut Recoverer::new(SIZE), &mut panorama).unwrap();
     let after = flux(&panorama);
     assert!(after > 1.05 * before && (1.0 - before / after - f64::from(found.hidden_share)).abs() < 1e-5, "{before} {after} {found:?}");
     for (texel, shown) in shown.iter().enumerate() {
@@ -81,12 +94,40 @@ fn what_is_added_is_what_the_curve_says_and_what_is_reported() {
 }
 
 #[test]
+fn luminance_and_harmonics_know_of_what_was_added() {
+    let mut panorama = panorama(scene(Vec3::new(0.3, 0.8, -0.5).normalize(), 5.0, 0.25));
+    let mut recoverer = Recoverer::new(SIZE);
+    let [mut got, mut expected] = [0; 2].map(|_| Luminance::new(&panorama.geometry, recoverer.rows_at_once()));
+    let count = recoverer.rows_at_once();
+    (0..256 / count).for_each(|row| recoverer.see(&panorama.rows(row * count, count), &mut got));
+    // What is recovered is left in the cells.
+    let shown = recoverer.cells.radiance.clone();
+    let found = recover_with(&mut recoverer, &mut panorama, &mut got).unwrap();
+    (0..256 / count).for_each(|row| expected.see(&panorama.rows(row * count, count)));
+    assert!(got.texels().iter().zip(expected.texels()).all(|(got, expected)| (got - expected).abs() <= 1e-5 * expected));
+    let (statistics, expected) = (got.statistics(), expected.statistics());
+    for (got, expected) in [(statistics.energy, expected.energy), (f64::from(statistics.threshold()), f64::from(expected.threshold()))] {
+        assert!((got / expected - 1.0).abs() < 1e-5, "{got} against {expected}");
+    }
+    let texels = Series::new(SIZE, SH25);
+    let [mut got, mut expected] = [[Vec3::ZERO; SH25]; 2];
+    recoverer.cells.radiance.clone_from(&shown);
+    recoverer.project(&mut got);
+    recoverer.project_hidden(&texels, &found, &mut got);
+    texels.project(&panorama, &mut expected);
+    for (got, expected_one) in got.iter().zip(expected) {
+        // Of what is shown a cell is even; what is hidden is exact.
+        assert!((*got - expected_one).abs().max_element() < 1e-3 * expected[0].max_element(), "{got} against {expected_one}");
+    }
+}
+
+#[test]
 fn a_single_light_gets_what_its_surroundings_ask_for() {
     // One disc in the middle of cells that are all alike: the curve passes through their mean.
     let to_light = Vec3::new(0.0, 0.6, -0.8);
     let mut panorama = panorama(scene(to_light, 6.0, 0.25));
     let mut recoverer = Recoverer::new(SIZE);
-    let found = recoverer.recover(&mut panorama).unwrap();
+    let found = recover(&mut recoverer, &mut panorama).unwrap();
     let clipped = recoverer.places.clipped_flux.iter().zip(&recoverer.places.excess_ln);
     let asked: f64 = clipped.map(|(flux, ln)| f64::from(flux * ln.exp())).sum();
     let given = f64::from(found.hidden_share) * flux(&panorama);
@@ -98,7 +139,7 @@ fn a_brighter_ground_asks_for_more_light() {
     let hidden = |ground: f32| {
         let mut panorama = panorama(scene(Vec3::new(0.0, 0.6, -0.8), 4.0, ground));
         let before = flux(&panorama);
-        Recoverer::new(SIZE).recover(&mut panorama).unwrap();
+        recover(&mut Recoverer::new(SIZE), &mut panorama).unwrap();
         flux(&panorama) - before
     };
     let hidden = [0.02, 0.08, 0.2, 0.4].map(hidden);
@@ -110,7 +151,7 @@ fn neither_seam_nor_heading_matters() {
     let at = |longitude: f32| {
         let light = Vec3::new(0.8 * longitude.sin(), 0.6, -0.8 * longitude.cos());
         let mut panorama = panorama(scene(light, 5.0, 0.3));
-        Recoverer::new(SIZE).recover(&mut panorama).unwrap()
+        recover(&mut Recoverer::new(SIZE), &mut panorama).unwrap()
     };
     // 90° are 32 cells exactly; the light stands across the seam at 180°.
     let all = [0.0, 0.5 * PI, PI, 1.5 * PI].map(at);
@@ -127,7 +168,7 @@ fn nothing_moves_by_a_jump_when_a_region_comes_to_be_clipped() {
     let hidden = |level: f32| {
         let disc = scene(Vec3::new(0.0, 0.6, -0.8), 4.0, 0.3);
         let mut panorama = panorama(|d| if disc(d) == Vec3::ONE { Vec3::splat(level) } else { disc(d) });
-        Recoverer::new(SIZE).recover(&mut panorama).map_or(0.0, |found| found.hidden_share)
+        recover(&mut Recoverer::new(SIZE), &mut panorama).map_or(0.0, |found| found.hidden_share)
     };
     let levels: Vec<f32> = (0..=40).map(|i| hidden(0.915 + 0.002 * i as f32)).collect();
     let most = levels[40];

@@ -46,23 +46,48 @@ impl Coarse {
             self.repeat(panorama);
             return;
         }
+        self.look();
         let cells = self.cells.get_or_insert_with(|| Cells::new(panorama.size, panorama.size.width / COLUMNS as u32));
         cells.take(panorama);
-        if self.directions.is_empty() {
-            let directions = |row: usize| (0..COLUMNS).map(move |column| (row, column));
-            self.directions.extend(
-                (0..ROWS)
-                    .flat_map(directions)
-                    .map(|(row, column)| (cells.geometry.direction(row, column), cells.geometry.solid_angle_sr[row])),
-            );
-        }
         self.radiance.clear();
         self.radiance.extend((0..COLUMNS * ROWS).map(|cell| cells.radiance(cell)));
+    }
+
+    /// Averages cells that hold mean radiance, `columns` in a row and half as many rows: powers of two. Of fewer than are needed, each is repeated.
+    pub(in super::super) fn take_cells(&mut self, cells: &Planes, columns: usize) {
+        self.look();
+        let rows = columns / 2;
+        let side = (columns / COLUMNS).max(1);
+        self.radiance.clear();
+        self.radiance.resize(COLUMNS * ROWS, Vec3::ZERO);
+        for (row, texels) in self.radiance.chunks_exact_mut(COLUMNS).enumerate() {
+            let first = row * rows / ROWS;
+            let cell_sr = |row: usize| pixel_solid_angle_sr(row as u32, columns as u32, rows as u32);
+            let whole: f32 = (first..first + side).map(cell_sr).sum::<f32>() * side as f32;
+            for row in first..first + side {
+                let share = cell_sr(row) / whole;
+                for (column, texel) in texels.iter_mut().enumerate() {
+                    let first = row * columns + column * columns / COLUMNS;
+                    let [red, green, blue] = [0, 1, 2].map(|channel: usize| &cells[channel][first..first + side]);
+                    for ((red, green), blue) in red.iter().zip(green).zip(blue) {
+                        *texel += share * Vec3::new(*red, *green, *blue);
+                    }
+                }
+            }
+        }
     }
 
     /// Takes a panorama that is smaller than this.
     fn repeat(&mut self, panorama: &Panorama) {
         let (width, height) = (panorama.size.width as usize, panorama.size.height as usize);
+        self.look();
+        let under = |texel: usize| texel / COLUMNS * height / ROWS * width + texel % COLUMNS * width / COLUMNS;
+        self.radiance.clear();
+        self.radiance.extend((0..COLUMNS * ROWS).map(|texel| panorama.radiance(under(texel))));
+    }
+
+    /// Works out where the texels look, once.
+    fn look(&mut self) {
         if self.directions.is_empty() {
             self.directions.extend((0..COLUMNS * ROWS).map(|texel| {
                 let (row, column) = (texel / COLUMNS, texel % COLUMNS);
@@ -70,9 +95,6 @@ impl Coarse {
                 (direction_from_uv(uv), pixel_solid_angle_sr(row as u32, COLUMNS as u32, ROWS as u32))
             }));
         }
-        let under = |texel: usize| texel / COLUMNS * height / ROWS * width + texel % COLUMNS * width / COLUMNS;
-        self.radiance.clear();
-        self.radiance.extend((0..COLUMNS * ROWS).map(|texel| panorama.radiance(under(texel))));
     }
 
     /// Irradiance that the texels within an angle of a direction give on a surface facing them; `cosine` is the angle's.
@@ -334,6 +356,25 @@ mod tests {
             let change = exposure.measure(&place(8, gain), false, 1.0 / 30.0);
             assert!((change.gain - gain.as_dvec3().ln()).abs().max_element() < 1e-5, "{gain}: {change:?}");
             assert!(!change.cut, "{gain}");
+        }
+    }
+
+    #[test]
+    fn cells_and_texels_make_the_same_coarse_panorama() {
+        for width in [32, 64, 128, 256] {
+            let size = Grid { width, height: width / 2, supersample: 1 };
+            let mut panorama = Panorama::new(size, Lift::Linear);
+            (0..(width * width / 2) as usize).for_each(|texel| {
+                panorama.set_radiance(texel, Vec3::new((texel * 7919 % 101) as f32, (texel % 13) as f32, 1.0 + (texel / 50) as f32));
+            });
+            let (mut expected, mut got) = (Coarse::default(), Coarse::default());
+            expected.take(&panorama);
+            // Twice: nothing of the first frame may stay.
+            (0..2).for_each(|_| got.take_cells(&panorama.channels, width as usize));
+            assert_eq!(got.radiance.len(), expected.radiance.len());
+            for (got, expected) in got.radiance.iter().zip(&expected.radiance) {
+                assert!((*got - *expected).abs().max_element() < 1e-5 * expected.max_element(), "{width}: {got} against {expected}");
+            }
         }
     }
 
