@@ -8,13 +8,14 @@ use std::time::Duration;
 
 use glam::{Vec2, Vec3};
 use mr360_protocol::clock::{ClientTime, ClockOffset, ServerTime};
+use mr360_protocol::light::LightFrame;
 use mr360_protocol::scene::ObjectId;
 
 use crate::audio::AudioTimeline;
 use crate::camera::Camera;
 use crate::decode::{DecodeCounters, PictureReceiver};
 use crate::stats::{FrameTimes, LightTimes, PassTime, Stats};
-use crate::sync::{ClientClock, Paired, Playout, ReceivedLight};
+use crate::sync::{ClientClock, LightBlend, Paired, Playout, ReceivedLight};
 
 /// Longest rest between two looks at what arrived: well within the least playout delay of 20 ms.
 const IDLE: Duration = Duration::from_millis(4);
@@ -69,6 +70,10 @@ pub trait Stage {
     /// # Errors
     /// As [`Stage::prepare`].
     fn update(&mut self, paired: Paired) -> Result<(), FrameError>;
+
+    /// Lights objects from the next frame on by this light, which lies between that of the picture and the next one's. True when the view
+    /// looks different for it.
+    fn relight(&mut self, light: &LightFrame) -> bool;
 
     /// Draws the view and submits it. Returns the GPU times known by now, those of an earlier frame included.
     ///
@@ -162,6 +167,7 @@ struct OnStage {
     arrived: ClientTime,
     decoded: ClientTime,
     light: Option<LightTimes>,
+    blend: Option<LightBlend>,
     paired: ClientTime,
     uploaded: ClientTime,
     presented_once: bool,
@@ -178,6 +184,8 @@ pub struct FrameLoop {
     /// What is on stage has changed since it was drawn.
     stale: bool,
     last_camera: Option<Camera>,
+    /// How long the last frame took to draw and present, microseconds.
+    drawing_us: u64,
     frames: u64,
     ended: bool,
 }
@@ -196,6 +204,7 @@ impl FrameLoop {
             on_stage: None,
             stale: false,
             last_camera: None,
+            drawing_us: 0,
             frames: 0,
             ended: false,
         }
@@ -219,6 +228,7 @@ impl FrameLoop {
         self.take_in();
         self.stale |= stage.prepare()?;
         let new_picture = self.update(stage)?;
+        self.relight(stage, redraw);
         let wanted = match redraw {
             Redraw::OnPicture => new_picture || self.on_stage.as_ref().is_some_and(|on_stage| !on_stage.presented_once),
             Redraw::OnChange => self.stale || self.last_camera != Some(*camera),
@@ -332,6 +342,7 @@ impl FrameLoop {
             arrived: paired.arrived,
             decoded: paired.decoded,
             light: paired.light.as_ref().and_then(|light| self.light_times(light)),
+            blend: paired.light.as_ref().map(|light| LightBlend::new(light.light.clone(), now)),
             paired: paired.paired,
             uploaded: paired.paired,
             presented_once: false,
@@ -341,6 +352,21 @@ impl FrameLoop {
         self.on_stage = Some(on_stage);
         self.stale = true;
         Ok(true)
+    }
+
+    /// Moves the light on between two pictures.
+    fn relight(&mut self, stage: &mut impl Stage, redraw: Redraw) {
+        // A picture that is drawn once is drawn under its own light.
+        if redraw == Redraw::OnPicture {
+            return;
+        }
+        let now = self.clock.now();
+        let Some(blend) = self.on_stage.as_mut().and_then(|on_stage| on_stage.blend.as_mut()) else { return };
+        let Some(light) = blend.advance(now, self.playout.upcoming_light()) else { return };
+        let differs = stage.relight(light);
+        // Where drawing is slow, a frame for the light alone would hold up the next picture.
+        let fast = blend.interval_us().is_some_and(|interval| 2 * self.drawing_us <= interval);
+        self.stale |= differs && fast;
     }
 
     fn show(&mut self, stage: &mut impl Stage, presenter: &mut impl Presenter, camera: &Camera) -> Result<bool, FrameError> {
@@ -354,6 +380,8 @@ impl FrameLoop {
         if let Some(detail) = stage.device_lost() {
             return Err(FrameError::DeviceLost { detail });
         }
+        let presented = self.clock.now();
+        self.drawing_us = presented.0.saturating_sub(begun.0);
         let times = FrameTimes {
             frame: self.frames,
             pts_us: on_stage.time.pts_us,
@@ -361,11 +389,12 @@ impl FrameLoop {
             arrived: on_stage.arrived,
             decoded: on_stage.decoded,
             light: on_stage.light,
+            light_weight: on_stage.blend.as_ref().map_or(0.0, LightBlend::weight),
             paired: on_stage.paired,
             uploaded: on_stage.uploaded,
             begun,
             rendered,
-            presented: self.clock.now(),
+            presented,
             playout_delay_us: self.playout.delay_us(),
         };
         on_stage.presented_once = true;

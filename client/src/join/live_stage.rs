@@ -147,6 +147,12 @@ impl Stage for LiveStage {
         Ok(())
     }
 
+    fn relight(&mut self, light: &LightFrame) -> bool {
+        let Some((_, renderer)) = self.renderer.as_mut().filter(|_| self.lit) else { return false };
+        renderer.relight(light);
+        renderer.has_objects()
+    }
+
     fn draw(&mut self, camera: &Camera, target: &Target) -> Result<Vec<PassTime>, FrameError> {
         if self.renderer.as_ref().is_none_or(|(format, _)| *format != target.format) {
             let failed = |source: BoxError| FrameError::Failed { action: "setting up the renderer", source };

@@ -1,6 +1,7 @@
 //! The renderer on a device that is really lost. They need a Vulkan adapter and fail without one.
 
 use glam::{Quat, Vec2, Vec3};
+use mr360_protocol::light::LightFrame;
 use mr360_protocol::scene::{Geometry, Material, Object, ObjectId, Scene, SceneMessage, Shape, Transform};
 
 use super::live_stage::SharedScene;
@@ -46,6 +47,10 @@ impl Stage for Doomed {
     fn update(&mut self, paired: Paired) -> Result<(), FrameError> {
         self.reached(Step::Update);
         self.stage.update(paired)
+    }
+
+    fn relight(&mut self, light: &LightFrame) -> bool {
+        self.stage.relight(light)
     }
 
     fn draw(&mut self, camera: &Camera, target: &Target) -> Result<Vec<PassTime>, FrameError> {

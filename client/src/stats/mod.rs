@@ -16,7 +16,7 @@ use crate::sync::Drops;
 const MAX_NAMES: usize = 64;
 /// Columns before those of the passes.
 const COLUMNS: &str = "frame,pts_us,arrived_us,decoded_us,light_pts_us,light_arrived_us,paired_us,uploaded_us,rendered_us,presented_us,network_us,light_age_us,video_age_us,\
-playout_delay_us,dropped_superseded,dropped_no_light,dropped_late,dropped_overflow,light_late,decode_errors,decode_backlog,decode_superseded";
+playout_delay_us,dropped_superseded,dropped_no_light,dropped_late,dropped_overflow,light_late,decode_errors,decode_backlog,decode_superseded,light_weight";
 
 /// GPU time of one pass.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -42,6 +42,8 @@ pub struct FrameTimes {
     pub decoded: ClientTime,
     /// Its light, if it has one.
     pub light: Option<LightTimes>,
+    /// How far the light in force is on its way to the next picture's, in [0, 1); 0 under the picture's own.
+    pub light_weight: f32,
     /// When both were handed to the renderer.
     pub paired: ClientTime,
     /// When the upload was submitted.
@@ -94,6 +96,7 @@ pub struct Stats {
     tracks: BTreeMap<String, (u64, u64)>,
     frames: u64,
     pictures: u64,
+    blended: u64,
     skipped: u64,
     drops: Drops,
     decode: [u64; 6],
@@ -151,6 +154,7 @@ impl Stats {
     /// Takes in a presented frame. A file that cannot be written to is given up with one line in the log.
     pub fn presented(&mut self, times: &FrameTimes, passes: &[PassTime]) {
         self.frames += 1;
+        self.blended += u64::from(times.light_weight > 0.0);
         let mut stage = |name, from: ClientTime, to: ClientTime| {
             self.stages.record(name, to.0.saturating_sub(from.0));
         };
@@ -213,7 +217,7 @@ impl Csv {
         let [_, _, errors, _, backlog, superseded] = decode;
         write!(
             self.file,
-            "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{errors},{backlog},{superseded}",
+            "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{errors},{backlog},{superseded},{}",
             times.frame,
             times.pts_us,
             times.arrived.0,
@@ -233,6 +237,7 @@ impl Csv {
             drops.late,
             drops.overflow,
             drops.light_late,
+            times.light_weight,
         )?;
         for column in self.passes {
             match passes.iter().find(|pass| pass.name == *column) {
@@ -273,7 +278,11 @@ impl Summary {
 impl fmt::Display for Summary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let stats = &self.0;
-        writeln!(f, "{} frames presented, {} pictures", stats.frames, stats.pictures)?;
+        writeln!(
+            f,
+            "{} frames presented, {} pictures, {} frames under light between two pictures'",
+            stats.frames, stats.pictures, stats.blended
+        )?;
         write!(f, "{}", stats.stages)?;
         let Drops { superseded, no_light, late, duplicate, overflow, light_late, light_unused } = stats.drops;
         writeln!(
@@ -306,6 +315,7 @@ mod tests {
             new_picture: true,
             arrived: at(0),
             decoded: at(4_000),
+            light_weight: if frame == 2 { 0.25 } else { 0.0 },
             light: (frame != 1).then_some(LightTimes { pts_us: frame * 33_000, published: at(5_000), arrived: at(6_000) }),
             paired: at(24_000),
             uploaded: at(25_000),
@@ -332,13 +342,18 @@ mod tests {
         let text = std::fs::read_to_string(&path).unwrap();
         let lines: Vec<_> = text.lines().collect();
         assert_eq!(lines.len(), 4);
-        assert!(lines[0].ends_with("decode_backlog,decode_superseded,gpu_shadow_ms,gpu_view_ms"));
+        assert!(lines[0].ends_with("decode_backlog,decode_superseded,light_weight,gpu_shadow_ms,gpu_view_ms"));
         assert!(lines.iter().all(|line| line.split(',').count() == lines[0].split(',').count()));
-        assert_eq!(lines[1], "0,0,0,4000,0,6000,24000,25000,27000,30000,1000,25000,30000,20000,0,0,0,0,0,0,0,0,1.500,2.250");
+        assert_eq!(lines[1], "0,0,0,4000,0,6000,24000,25000,27000,30000,1000,25000,30000,20000,0,0,0,0,0,0,0,0,0,1.500,2.250");
         assert!(lines[2].starts_with("1,33000,33000,37000,,,57000,"));
-        assert!(lines[3].ends_with(",,2.250"));
+        assert!(lines[3].ends_with(",0.25,,2.250"));
         let printed = summary.to_string();
-        assert!(printed.contains("7 without light") && printed.contains("track video: 2 frames, 1500 bytes"), "{printed}");
+        assert!(
+            printed.contains("1 frames under light between")
+                && printed.contains("7 without light")
+                && printed.contains("track video: 2 frames, 1500 bytes"),
+            "{printed}"
+        );
         assert_eq!((summary.frames(), summary.pictures()), (3, 3));
     }
 

@@ -81,8 +81,11 @@ pub struct Renderer {
     resources: Resources,
     models: Models,
     stage: Stage,
+    /// Of the picture.
     light: FrameLight,
     light_changed: bool,
+    /// In force: the picture's, or on its way to that of the next one.
+    current: FrameLight,
     visible: bool,
     layers: Vec<Layer>,
     timer: PassTimer,
@@ -100,8 +103,19 @@ impl Renderer {
         let resources = Resources::new(&gpu.device, &layouts);
         let models = Models::new(gpu, &layouts.material);
         let timer = PassTimer::new(gpu);
-        let (stage, light) = (Stage::default(), FrameLight::default());
-        Ok(Self { layouts, pipelines, resources, models, stage, light, light_changed: true, visible: true, layers: Vec::new(), timer })
+        Ok(Self {
+            layouts,
+            pipelines,
+            resources,
+            models,
+            stage: Stage::default(),
+            light: FrameLight::default(),
+            light_changed: true,
+            current: FrameLight::default(),
+            visible: true,
+            layers: Vec::new(),
+            timer,
+        })
     }
 
     /// Shows this scene from the next frame on. Geometry stays on the GPU while some object shows it. `model` gives
@@ -124,6 +138,19 @@ impl Renderer {
     pub fn set_light(&mut self, light: &LightFrame) {
         self.light = FrameLight::from(light);
         self.light_changed = true;
+        self.current = self.light.clone();
+    }
+
+    /// Lights objects by this until the next light is set: one between that of the picture and the next one's. Reflections show the
+    /// picture, and stay as they are.
+    pub fn relight(&mut self, light: &LightFrame) {
+        self.current = FrameLight { lift: self.light.lift, ..FrameLight::from(light) };
+    }
+
+    /// True when the scene has something that light falls on.
+    #[must_use]
+    pub fn has_objects(&self) -> bool {
+        self.stage.needs.objects > 0
     }
 
     /// The nearest object along a ray and where it is met.
@@ -143,7 +170,7 @@ impl Renderer {
         self.timer.collect(gpu);
         let views = views.get(..MAX_VIEWS).unwrap_or(views);
         let needs = if self.visible { self.stage.needs } else { SceneNeeds::default() };
-        let plan = Plan::new(needs, &self.light);
+        let plan = Plan::new(needs, &self.current);
         if std::mem::take(&mut self.light_changed) {
             environment.set_light(gpu, &self.light);
         }
@@ -151,13 +178,13 @@ impl Renderer {
             environment.refresh_reflections(gpu, encoder, &self.light, &mut self.timer);
         }
         let frusta: Vec<Frustum> =
-            self.light.lights.iter().take(plan.shadows).map(|light| self.resources.frustum(light, &self.stage)).collect();
-        self.resources.write_frame(gpu, &self.stage, &self.light, &frusta);
+            self.current.lights.iter().take(plan.shadows).map(|light| self.resources.frustum(light, &self.stage)).collect();
+        self.resources.write_frame(gpu, &self.stage, (&self.current, &self.light), &frusta);
         let mut report = FrameReport { plan, ..FrameReport::default() };
         self.draw_shadows(encoder, frusta.len(), &mut report);
-        let kind = Kind { video: environment.kind(), sh_count: self.light.sh_count };
+        let kind = Kind { video: environment.kind(), sh_count: self.current.sh_count };
         self.prepare(gpu, kind, plan);
-        let ground = self.stage.changed_ground(&self.light, frusta.len());
+        let ground = self.stage.changed_ground(&self.current, frusta.len());
         for (at, view) in views.iter().enumerate() {
             // From beneath there is no ground to see.
             let ground = ground.filter(|_| view.camera.position.y > self.stage.ground_y);

@@ -250,6 +250,64 @@ fn untouched_pixels_have_the_same_bits_and_removal_restores_all() {
 }
 
 #[test]
+fn light_between_two_pictures_is_between_theirs_and_reflections_stay_the_picture() {
+    let gpu = Gpu::headless().unwrap();
+    let picture = panorama(128, 64, gradient);
+    let own = LightFrame { lights: vec![sun(Vec3::new(0.5, 1.0, 0.6), 3.0)], ..ambient_light(&picture) };
+    let mut next = LightFrame { lights: vec![sun(Vec3::new(0.3, 1.0, 0.7), 3.5)], ..own.clone() };
+    next.sh.iter_mut().for_each(|c| *c *= 1.1);
+    let (chalk, mirror_at) = (Vec3::new(-0.6, -1.0, -3.5), Vec3::new(0.6, -1.0, -3.5));
+    let balls = scene(vec![object(1, Shape::Sphere, chalk, 1.0, diffuse(0.5)), object(2, Shape::Sphere, mirror_at, 1.0, mirror())]);
+    let target = gpu.device.create_texture(&wgpu::TextureDescriptor {
+        label: None,
+        size: wgpu::Extent3d { width: SIZE.0, height: SIZE.1, depth_or_array_layers: 1 },
+        mip_level_count: 1,
+        sample_count: 1,
+        dimension: wgpu::TextureDimension::D2,
+        format: wgpu::TextureFormat::Rgba32Float,
+        usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC,
+        view_formats: &[],
+    });
+    let view = target.create_view(&wgpu::TextureViewDescriptor::default());
+    let mut environment = Environment::new(&gpu).unwrap();
+    environment.upload(&gpu, &picture).unwrap();
+    let mut renderer = Renderer::new(&gpu, wgpu::TextureFormat::Rgba32Float).unwrap();
+    assert!(!renderer.has_objects() && renderer.set_scene(&gpu, &balls, &|_| None).is_empty() && renderer.has_objects());
+    let mut frame = |change: &mut dyn FnMut(&mut Renderer)| {
+        change(&mut renderer);
+        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let report = renderer.render(&gpu, &mut encoder, &mut environment, &[View { camera: camera(), target: &view, size: SIZE }]);
+        gpu.queue.submit([encoder.finish()]);
+        let floats = bytemuck::pod_collect_to_vec::<u8, f32>(&gpu.read_texture(&target).unwrap());
+        (floats.chunks_exact(4).map(|t| Vec3::new(t[0], t[1], t[2])).collect::<Vec<_>>(), report)
+    };
+    let first = frame(&mut |renderer| renderer.set_light(&own)).0;
+    assert_eq!(first, draw(&gpu, &picture, &own, &balls, &camera()), "its own light at its instant");
+    // On the lit side of the chalk ball, above, towards the camera.
+    let lit = [Vec3::new(0.2, 0.42, 0.18), Vec3::new(-0.1, 0.45, 0.2), Vec3::new(0.1, 0.1, 0.48)].map(|d| pixel_of(&camera(), chalk + d));
+    // Mirrors the sky, and nothing of the chalk ball or the ground.
+    let mirrored = pixel_of(&camera(), mirror_at + Vec3::new(0.28, 0.25, 0.33));
+    let end = draw(&gpu, &picture, &next, &balls, &camera());
+    let mut before = first.clone();
+    for weight in [0.25, 0.5, 0.75, 1.0] {
+        let between = frame(&mut |renderer| renderer.relight(&own.blend(&next, weight))).0;
+        for at in lit {
+            let share = (between[at].x - first[at].x) / (end[at].x - first[at].x);
+            // Nearly linear: the light turns by 11°.
+            assert!(between[at].x > before[at].x && (share - weight).abs() < 0.05, "{weight}: {share}");
+        }
+        // All that moves there is the skirt of the sun's highlight.
+        assert!((between[mirrored] - first[mirrored]).abs().max_element() < 0.01, "the mirror shows the picture");
+        before = between;
+    }
+    // Times come back one or two frames later: by now no frame of these has made reflections.
+    let report = frame(&mut |_| ()).1;
+    let names: Vec<_> = report.passes.iter().map(|pass| pass.name).collect();
+    assert_eq!(names, ["shadow 1", "objects", "composite"]);
+    assert_eq!(frame(&mut |renderer| renderer.set_light(&next)).0, end, "the next one's at its instant");
+}
+
+#[test]
 fn shadow_falls_away_from_the_light_and_light_on_its_side() {
     let gpu = Gpu::headless().unwrap();
     let picture = panorama(256, 128, |_| Vec3::splat(0.5));

@@ -163,6 +163,8 @@ impl Controls {
 
 #[cfg(test)]
 mod tests {
+    use mr360_protocol::light::LightFrame;
+
     use super::*;
     use crate::frame_loop::{FrameError, Target};
     use crate::stats::PassTime;
@@ -179,6 +181,9 @@ mod tests {
         }
         fn update(&mut self, _paired: Paired) -> Result<(), FrameError> {
             Ok(())
+        }
+        fn relight(&mut self, _light: &LightFrame) -> bool {
+            false
         }
         fn draw(&mut self, _camera: &Camera, _target: &Target) -> Result<Vec<PassTime>, FrameError> {
             Ok(Vec::new())
