@@ -14,8 +14,10 @@ use mr360_protocol::scene::ObjectId;
 use crate::audio::AudioTimeline;
 use crate::camera::Camera;
 use crate::decode::{DecodeCounters, PictureReceiver};
+use crate::governor::Tier;
 use crate::stats::{FrameTimes, LightTimes, PassTime, Stats};
 use crate::sync::{ClientClock, LightBlend, Paired, Playout, ReceivedLight};
+use crate::view::Plan;
 
 /// Longest rest between two looks at what arrived: well within the least playout delay of 20 ms.
 const IDLE: Duration = Duration::from_millis(4);
@@ -57,6 +59,17 @@ pub struct Target {
     pub height: u32,
 }
 
+/// What drawing a view came to.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Drawn {
+    /// GPU times known by now, those of an earlier frame included.
+    pub passes: Vec<PassTime>,
+    /// How much was left out.
+    pub tier: Tier,
+    /// What was done.
+    pub plan: Plan,
+}
+
 /// The renderer, as the frame loop sees it.
 pub trait Stage {
     /// Takes in what came for the scene since the last turn; true when the view looks different for it.
@@ -75,11 +88,11 @@ pub trait Stage {
     /// looks different for it.
     fn relight(&mut self, light: &LightFrame) -> bool;
 
-    /// Draws the view and submits it. Returns the GPU times known by now, those of an earlier frame included.
+    /// Draws the view and submits it.
     ///
     /// # Errors
     /// As [`Stage::prepare`].
-    fn draw(&mut self, camera: &Camera, target: &Target) -> Result<Vec<PassTime>, FrameError>;
+    fn draw(&mut self, camera: &Camera, target: &Target) -> Result<Drawn, FrameError>;
 
     /// Why the device was lost, once it is.
     fn device_lost(&self) -> Option<String>;
@@ -373,7 +386,7 @@ impl FrameLoop {
         let Some(on_stage) = self.on_stage.as_mut() else { return Ok(false) };
         let Some(target) = presenter.acquire()? else { return Ok(false) };
         let begun = self.clock.now();
-        let passes = stage.draw(camera, &target)?;
+        let drawn = stage.draw(camera, &target)?;
         let rendered = self.clock.now();
         presenter.present(on_stage.time, rendered)?;
         // What a lost device drew is nothing to count.
@@ -405,7 +418,7 @@ impl FrameLoop {
         }
         self.frames += 1;
         self.stats.counted(self.playout.drops(), Some(&self.inputs.decoder));
-        self.stats.presented(&times, &passes);
+        self.stats.presented(&times, &drawn);
         Ok(true)
     }
 }

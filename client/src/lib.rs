@@ -8,6 +8,7 @@ pub mod camera;
 pub mod decode;
 pub mod environment;
 pub mod frame_loop;
+pub mod governor;
 pub mod gpu;
 pub mod headless;
 pub mod join;

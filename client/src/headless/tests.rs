@@ -9,7 +9,7 @@ use mr360_protocol::video::{Colour, StereoLayout};
 
 use super::*;
 use crate::decode::{DecodeCounters, Decoded, PictureReceiver, PictureSender, outbox};
-use crate::frame_loop::{Arrival, Inputs};
+use crate::frame_loop::{Arrival, Drawn, Inputs};
 use crate::picture::{Picture, Plane, Samples};
 use crate::stats::{PassTime, Stats};
 use crate::sync::{ClientClock, Paired, ReceivedLight};
@@ -42,7 +42,7 @@ impl Stage for Clear {
         true
     }
 
-    fn draw(&mut self, _camera: &Camera, target: &Target) -> Result<Vec<PassTime>, FrameError> {
+    fn draw(&mut self, _camera: &Camera, target: &Target) -> Result<Drawn, FrameError> {
         let value = f64::from(self.luma) / 255.0;
         let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         drop(encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
@@ -58,7 +58,7 @@ impl Stage for Clear {
             ..Default::default()
         }));
         self.queue.submit([encoder.finish()]);
-        Ok(vec![PassTime { name: "clear", gpu_ms: 0.5 }])
+        Ok(Drawn { passes: vec![PassTime { name: "clear", gpu_ms: 0.5 }], ..Drawn::default() })
     }
 
     fn device_lost(&self) -> Option<String> {

@@ -7,7 +7,7 @@ use mr360_shaders::layout::{self, MAX_OCCLUDERS, SHADOW_MAP_SIZE};
 use mr360_shaders::sh;
 
 use super::extent::Part;
-use super::pipelines::{DEPTH_FORMAT, LAYER_FORMAT, Layouts, SAMPLES};
+use super::pipelines::{DEPTH_FORMAT, LAYER_FORMAT, Layouts};
 use super::plan::MAX_SHADOWS;
 use super::shadows::{Frustum, LONGEST_SHADOW_M, fit};
 use super::stage::Stage;
@@ -136,8 +136,18 @@ impl Resources {
 
     /// Writes what changes with the light, if it has: lighting, and the casters' views. The second light is that of the picture, from which
     /// reflections are made.
-    pub(super) fn write_frame(&mut self, gpu: &Gpu, stage: &Stage, lights: (&FrameLight, &FrameLight), frusta: &[Frustum]) {
-        let lighting = lighting(stage, lights, frusta);
+    pub(super) fn write_frame(
+        &mut self,
+        gpu: &Gpu,
+        stage: &Stage,
+        lights: (&FrameLight, &FrameLight),
+        frusta: &[Frustum],
+        occlusion: bool,
+    ) {
+        let mut lighting = lighting(stage, lights, frusta);
+        if !occlusion {
+            lighting.occluder_count = 0;
+        }
         if bytemuck::bytes_of(&lighting) == bytemuck::bytes_of(&self.written) {
             return;
         }
@@ -232,25 +242,23 @@ fn layer_group(device: &wgpu::Device, layout: &wgpu::BindGroupLayout, layer: &wg
 
 /// Targets of one view's objects and ground.
 pub(super) struct Layer {
-    /// At least what was asked for.
-    pub(super) size: (u32, u32),
-    pub(super) samples: wgpu::TextureView,
+    /// Where there are more than one a pixel.
+    pub(super) samples: Option<wgpu::TextureView>,
     pub(super) resolved: wgpu::TextureView,
     pub(super) depth: wgpu::TextureView,
     pub(super) group: wgpu::BindGroup,
 }
 
 impl Layer {
-    pub(super) fn new(device: &wgpu::Device, layout: &wgpu::BindGroupLayout, size: (u32, u32)) -> Self {
+    pub(super) fn new(device: &wgpu::Device, layout: &wgpu::BindGroupLayout, size: (u32, u32), count: u32) -> Self {
         let attachment = wgpu::TextureUsages::RENDER_ATTACHMENT;
         let view = |label, samples, format, usage| {
             texture(device, label, size, 1, samples, format, usage).create_view(&wgpu::TextureViewDescriptor::default())
         };
         let resolved = view("layer", 1, LAYER_FORMAT, attachment | wgpu::TextureUsages::TEXTURE_BINDING);
         Self {
-            size,
-            samples: view("layer samples", SAMPLES, LAYER_FORMAT, attachment),
-            depth: view("layer depth", SAMPLES, DEPTH_FORMAT, attachment),
+            samples: (count > 1).then(|| view("layer samples", count, LAYER_FORMAT, attachment)),
+            depth: view("layer depth", count, DEPTH_FORMAT, attachment),
             group: layer_group(device, layout, &resolved),
             resolved,
         }

@@ -15,7 +15,7 @@ use super::*;
 use crate::picture::{Picture, Plane, Samples};
 use crate::render::{Still, ambient_light};
 
-const SIZE: (u32, u32) = (160, 90);
+pub(super) const SIZE: (u32, u32) = (160, 90);
 
 pub(super) fn panorama(width: u32, height: u32, radiance: impl Fn(Vec3) -> Vec3) -> Picture {
     let texel = |i: u32| {
@@ -28,33 +28,33 @@ pub(super) fn panorama(width: u32, height: u32, radiance: impl Fn(Vec3) -> Vec3)
     Picture { pts_us: 0, width, height, stereo: StereoLayout::Mono, samples }
 }
 
-fn object(id: u32, shape: Shape, position: Vec3, scale: f32, material: Material) -> Object {
+pub(super) fn object(id: u32, shape: Shape, position: Vec3, scale: f32, material: Material) -> Object {
     let transform = Transform { position, rotation: Quat::IDENTITY, scale: Vec3::splat(scale) };
     Object { id: ObjectId(id), geometry: Geometry::Shape(shape), transform, material: Some(material) }
 }
 
-fn scene(objects: Vec<Object>) -> Scene {
+pub(super) fn scene(objects: Vec<Object>) -> Scene {
     Scene { ground_y: -1.6, objects, ..Scene::default() }
 }
 
-fn ball(material: Material) -> Scene {
+pub(super) fn ball(material: Material) -> Scene {
     scene(vec![object(1, Shape::Sphere, Vec3::new(0.0, -1.1, -3.5), 1.0, material)])
 }
 
-fn diffuse(albedo: f32) -> Material {
+pub(super) fn diffuse(albedo: f32) -> Material {
     Material { base_color: [albedo; 3], ..Material::default() }
 }
 
-fn mirror() -> Material {
+pub(super) fn mirror() -> Material {
     Material { base_color: [1.0; 3], roughness: 0.0, metallic: 1.0, ..Material::default() }
 }
 
 /// Looks down a little, so that ball and ground are both in view.
-fn camera() -> Camera {
+pub(super) fn camera() -> Camera {
     Camera::looking(0.0, -0.25, 0.9)
 }
 
-fn draw(gpu: &Gpu, picture: &Picture, light: &LightFrame, scene: &Scene, camera: &Camera) -> Vec<Vec3> {
+pub(super) fn draw(gpu: &Gpu, picture: &Picture, light: &LightFrame, scene: &Scene, camera: &Camera) -> Vec<Vec3> {
     let still = Still { gpu, picture, light, scene, assets: &HashMap::new() };
     let bytes = still.draw(camera, SIZE, wgpu::TextureFormat::Rgba32Float).unwrap();
     bytemuck::pod_collect_to_vec::<u8, f32>(&bytes).chunks_exact(4).map(|t| Vec3::new(t[0], t[1], t[2])).collect()
@@ -67,7 +67,7 @@ fn ray_of(camera: &Camera, index: usize) -> Vec3 {
 }
 
 /// Index of the pixel that shows a point.
-fn pixel_of(camera: &Camera, point: Vec3) -> usize {
+pub(super) fn pixel_of(camera: &Camera, point: Vec3) -> usize {
     let aspect = SIZE.0 as f32 / SIZE.1 as f32;
     let at = (camera.clip_from_view(aspect) * camera.view_from_world()).project_point3(point);
     let (x, y) = ((at.x * 0.5 + 0.5) * SIZE.0 as f32, (0.5 - at.y * 0.5) * SIZE.1 as f32);
@@ -78,12 +78,12 @@ fn worst(a: &[Vec3], b: &[Vec3]) -> f32 {
     a.iter().zip(b).map(|(a, b)| (*a - *b).abs().max_element()).fold(0.0, f32::max)
 }
 
-fn sun(direction: Vec3, irradiance: f32) -> DirectionalLight {
+pub(super) fn sun(direction: Vec3, irradiance: f32) -> DirectionalLight {
     DirectionalLight { id: 1, direction: direction.normalize(), irradiance: Vec3::splat(irradiance), solid_angle_sr: 6.8e-5 }
 }
 
 /// Smooth, with no seam: a direction's own components.
-fn gradient(d: Vec3) -> Vec3 {
+pub(super) fn gradient(d: Vec3) -> Vec3 {
     d * 0.4 + 0.5
 }
 
@@ -250,64 +250,6 @@ fn untouched_pixels_have_the_same_bits_and_removal_restores_all() {
 }
 
 #[test]
-fn light_between_two_pictures_is_between_theirs_and_reflections_stay_the_picture() {
-    let gpu = Gpu::headless().unwrap();
-    let picture = panorama(128, 64, gradient);
-    let own = LightFrame { lights: vec![sun(Vec3::new(0.5, 1.0, 0.6), 3.0)], ..ambient_light(&picture) };
-    let mut next = LightFrame { lights: vec![sun(Vec3::new(0.3, 1.0, 0.7), 3.5)], ..own.clone() };
-    next.sh.iter_mut().for_each(|c| *c *= 1.1);
-    let (chalk, mirror_at) = (Vec3::new(-0.6, -1.0, -3.5), Vec3::new(0.6, -1.0, -3.5));
-    let balls = scene(vec![object(1, Shape::Sphere, chalk, 1.0, diffuse(0.5)), object(2, Shape::Sphere, mirror_at, 1.0, mirror())]);
-    let target = gpu.device.create_texture(&wgpu::TextureDescriptor {
-        label: None,
-        size: wgpu::Extent3d { width: SIZE.0, height: SIZE.1, depth_or_array_layers: 1 },
-        mip_level_count: 1,
-        sample_count: 1,
-        dimension: wgpu::TextureDimension::D2,
-        format: wgpu::TextureFormat::Rgba32Float,
-        usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC,
-        view_formats: &[],
-    });
-    let view = target.create_view(&wgpu::TextureViewDescriptor::default());
-    let mut environment = Environment::new(&gpu).unwrap();
-    environment.upload(&gpu, &picture).unwrap();
-    let mut renderer = Renderer::new(&gpu, wgpu::TextureFormat::Rgba32Float).unwrap();
-    assert!(!renderer.has_objects() && renderer.set_scene(&gpu, &balls, &|_| None).is_empty() && renderer.has_objects());
-    let mut frame = |change: &mut dyn FnMut(&mut Renderer)| {
-        change(&mut renderer);
-        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        let report = renderer.render(&gpu, &mut encoder, &mut environment, &[View { camera: camera(), target: &view, size: SIZE }]);
-        gpu.queue.submit([encoder.finish()]);
-        let floats = bytemuck::pod_collect_to_vec::<u8, f32>(&gpu.read_texture(&target).unwrap());
-        (floats.chunks_exact(4).map(|t| Vec3::new(t[0], t[1], t[2])).collect::<Vec<_>>(), report)
-    };
-    let first = frame(&mut |renderer| renderer.set_light(&own)).0;
-    assert_eq!(first, draw(&gpu, &picture, &own, &balls, &camera()), "its own light at its instant");
-    // On the lit side of the chalk ball, above, towards the camera.
-    let lit = [Vec3::new(0.2, 0.42, 0.18), Vec3::new(-0.1, 0.45, 0.2), Vec3::new(0.1, 0.1, 0.48)].map(|d| pixel_of(&camera(), chalk + d));
-    // Mirrors the sky, and nothing of the chalk ball or the ground.
-    let mirrored = pixel_of(&camera(), mirror_at + Vec3::new(0.28, 0.25, 0.33));
-    let end = draw(&gpu, &picture, &next, &balls, &camera());
-    let mut before = first.clone();
-    for weight in [0.25, 0.5, 0.75, 1.0] {
-        let between = frame(&mut |renderer| renderer.relight(&own.blend(&next, weight))).0;
-        for at in lit {
-            let share = (between[at].x - first[at].x) / (end[at].x - first[at].x);
-            // Nearly linear: the light turns by 11°.
-            assert!(between[at].x > before[at].x && (share - weight).abs() < 0.05, "{weight}: {share}");
-        }
-        // All that moves there is the skirt of the sun's highlight.
-        assert!((between[mirrored] - first[mirrored]).abs().max_element() < 0.01, "the mirror shows the picture");
-        before = between;
-    }
-    // Times come back one or two frames later: by now no frame of these has made reflections.
-    let report = frame(&mut |_| ()).1;
-    let names: Vec<_> = report.passes.iter().map(|pass| pass.name).collect();
-    assert_eq!(names, ["shadow 1", "objects", "composite"]);
-    assert_eq!(frame(&mut |renderer| renderer.set_light(&next)).0, end, "the next one's at its instant");
-}
-
-#[test]
 fn shadow_falls_away_from_the_light_and_light_on_its_side() {
     let gpu = Gpu::headless().unwrap();
     let picture = panorama(256, 128, |_| Vec3::splat(0.5));
@@ -380,16 +322,19 @@ fn diffuse_objects_without_lights_run_two_passes() {
         let light = LightFrame { pts_us: 0, published_us: 0, lift: Lift::Linear, sh: vec![Vec3::ONE; 9], lights };
         renderer.set_light(&light);
         renderer.set_scene(&gpu, &ball(material), &|_| None);
-        let mut report = FrameReport::default();
-        // Times come back one or two frames later.
-        for _ in 0..4 {
+        let mut seen = std::collections::BTreeSet::new();
+        // Times come back one or two frames later, and those of the scene before with them.
+        for frame in 0..6 {
             let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
             renderer.set_light(&light);
-            report = renderer.render(&gpu, &mut encoder, &mut environment, &[View { camera: camera(), target: &view, size: (32, 32) }]);
+            let report = renderer.render(&gpu, &mut encoder, &mut environment, &[View { camera: camera(), target: &view, size: (32, 32) }]);
             gpu.queue.submit([encoder.finish()]);
             gpu.wait().unwrap();
+            if frame >= 2 {
+                seen.extend(report.passes.iter().map(|pass| pass.name));
+            }
         }
-        report.passes.iter().map(|pass| pass.name).collect::<Vec<_>>()
+        PASSES.into_iter().filter(|name| seen.contains(name)).collect::<Vec<_>>()
     };
     assert_eq!(names(diffuse(0.8), vec![]), ["objects", "composite"]);
     assert_eq!(names(mirror(), vec![]), ["reflections", "objects", "composite"]);
