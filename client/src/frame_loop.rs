@@ -94,6 +94,9 @@ pub trait Stage {
     /// As [`Stage::prepare`].
     fn draw(&mut self, camera: &Camera, target: &Target) -> Result<Drawn, FrameError>;
 
+    /// Shows what a frame costs over the view, or no longer.
+    fn toggle_overlay(&mut self) {}
+
     /// Why the device was lost, once it is.
     fn device_lost(&self) -> Option<String>;
 

@@ -12,6 +12,7 @@ pub mod governor;
 pub mod gpu;
 pub mod headless;
 pub mod join;
+pub mod overlay;
 pub mod picture;
 pub mod receive;
 pub mod record;

@@ -13,6 +13,7 @@ use crate::Failure;
 use crate::arguments::{parse_angle, parse_fov, parse_size};
 use crate::camera::Camera;
 use crate::decode::Hardware;
+use crate::frame_loop::Stage;
 use crate::governor::{Governor, Tier};
 use crate::headless::{Files, HeadlessOptions, Pace};
 use crate::receive;
@@ -73,6 +74,9 @@ pub struct JoinArgs {
     /// else 0].
     #[arg(long, value_name = "N", value_parser = parse_tier)]
     pub tier: Option<TierChoice>,
+    /// Show what a frame costs over the view, as F1 does in a window.
+    #[arg(long)]
+    pub overlay: bool,
     /// Decode in software, even where the GPU could.
     #[arg(long)]
     pub software_decoding: bool,
@@ -107,6 +111,7 @@ pub(super) struct Settings {
     frames: Option<u64>,
     duration: Option<Duration>,
     pace: Pace,
+    overlay: bool,
     tier: Option<TierChoice>,
     mute: bool,
 }
@@ -137,6 +142,7 @@ impl JoinArgs {
             frames: self.frames,
             duration: self.duration,
             pace: self.fps.map_or(Pace::Video, Pace::Fixed),
+            overlay: self.overlay,
             tier: self.tier,
             mute: self.mute,
         })
@@ -161,6 +167,14 @@ impl Settings {
             (_, Some(display)) => automatic(display),
             (Some(TierChoice::Auto), None) => automatic(file_mhz),
         }
+    }
+
+    /// As the user wants it to begin.
+    pub(super) fn stage<S: Stage>(&self, mut stage: S) -> S {
+        if self.overlay {
+            stage.toggle_overlay();
+        }
+        stage
     }
 
     pub(super) fn headless(&self) -> HeadlessOptions {
@@ -216,4 +230,19 @@ fn parse_tier(text: &str) -> Result<TierChoice, String> {
 
 fn parse_fps(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|fps: &f64| fps.is_finite() && *fps > 0.0).ok_or_else(|| "a rate is a number of frames above 0".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tier_is_auto_or_a_number_and_nothing_else() {
+        assert_eq!(parse_tier("auto"), Ok(TierChoice::Auto));
+        assert_eq!(parse_tier("0"), Ok(TierChoice::Fixed(Tier::FULL)));
+        assert_eq!(parse_tier("4"), Ok(TierChoice::Fixed(Tier::LOWEST)));
+        for wrong in ["5", "-1", "", "Auto"] {
+            assert!(parse_tier(wrong).unwrap_err().contains("0 to 4"), "{wrong}");
+        }
+    }
 }

@@ -14,6 +14,7 @@ use crate::environment::Environment;
 use crate::frame_loop::{BoxError, Drawn, FrameError, Stage, Target};
 use crate::governor::Governor;
 use crate::gpu::Gpu;
+use crate::overlay::{Overlay, Told};
 use crate::scene::model::{LoadedModel, ModelError};
 use crate::scene::pick::Ray;
 use crate::stats::PassTime;
@@ -101,6 +102,9 @@ pub struct LiveStage {
     warned: HashMap<ObjectId, String>,
     governor: Governor,
     clock: ClientClock,
+    overlay_shown: bool,
+    /// Made when first shown, for the format of the target.
+    overlay: Option<(wgpu::TextureFormat, Overlay)>,
 }
 
 impl LiveStage {
@@ -122,6 +126,8 @@ impl LiveStage {
             warned: HashMap::new(),
             governor,
             clock: ClientClock::start(),
+            overlay_shown: false,
+            overlay: None,
         })
     }
 
@@ -143,17 +149,38 @@ impl LiveStage {
         self.shown = Some(state.version);
     }
 
-    /// Tells the governor what a frame cost: CPU and GPU work side by side, so that the longer of the two counts.
-    fn govern(&mut self, begun: ClientTime, passes: &[PassTime]) {
-        let Some((_, renderer)) = &self.renderer else { return };
+    /// Tells the governor what a frame cost: CPU and GPU work side by side, so that the longer of the two counts. Returns it, milliseconds.
+    fn govern(&mut self, begun: ClientTime, passes: &[PassTime]) -> f32 {
+        let Some((_, renderer)) = &self.renderer else { return 0.0 };
         let now = self.clock.now();
         let gpu_us = passes.iter().map(|pass| pass.gpu_ms).sum::<f32>() * 1_000.0;
         let cost_us = now.0.saturating_sub(begun.0).max(gpu_us as u64);
+        let cost_ms = cost_us as f32 * 1e-3;
         if let Some(tier) = self.governor.observe(now, cost_us, &|tier| renderer.plan(tier)) {
             let budget_ms = self.governor.budget_us().unwrap_or_default() * 1e-3;
-            let cost_ms = cost_us as f32 * 1e-3;
             tracing::info!(%tier, plan = ?renderer.plan(tier), "frames took about {cost_ms:.1} ms of {budget_ms:.1}: changing what they do");
         }
+        cost_ms
+    }
+
+    fn draw_overlay(&mut self, camera: &Camera, target: &Target, drawn: &Drawn, cost_ms: f32) -> Result<(), FrameError> {
+        let Some((_, renderer)) = self.renderer.as_ref().filter(|_| self.overlay_shown) else { return Ok(()) };
+        if self.overlay.as_ref().is_none_or(|(format, _)| *format != target.format) {
+            let failed = |source: BoxError| FrameError::Failed { action: "setting up the overlay", source };
+            self.overlay = Some((target.format, Overlay::new(&self.gpu, target.format).map_err(|error| failed(error.into()))?));
+        }
+        let Some((_, overlay)) = &mut self.overlay else { return Ok(()) };
+        let told = Told {
+            drawn,
+            cost_ms,
+            budget_ms: self.governor.budget_us().map(|budget| budget * 1e-3),
+            light: renderer.light(),
+            looking: camera.ray(Vec2::ZERO, 1.0),
+        };
+        let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("overlay") });
+        overlay.draw(&self.gpu, &mut encoder, (&target.view, (target.width, target.height)), &told);
+        self.gpu.queue.submit([encoder.finish()]);
+        Ok(())
     }
 }
 
@@ -202,8 +229,14 @@ impl Stage for LiveStage {
         let report = renderer.render(&self.gpu, &mut encoder, &mut self.environment, &[view]);
         self.gpu.queue.submit([encoder.finish()]);
         let FrameReport { passes, plan, .. } = report;
-        self.govern(begun, &passes);
-        Ok(Drawn { passes, tier, plan })
+        let cost_ms = self.govern(begun, &passes);
+        let drawn = Drawn { passes, tier, plan };
+        self.draw_overlay(camera, target, &drawn, cost_ms)?;
+        Ok(drawn)
+    }
+
+    fn toggle_overlay(&mut self) {
+        self.overlay_shown = !self.overlay_shown;
     }
 
     fn device_lost(&self) -> Option<String> {

@@ -183,6 +183,12 @@ impl Renderer {
         self.current = FrameLight { lift: self.light.lift, ..FrameLight::from(light) };
     }
 
+    /// The light in force.
+    #[must_use]
+    pub fn light(&self) -> &FrameLight {
+        &self.current
+    }
+
     /// True when the scene has something that light falls on.
     #[must_use]
     pub fn has_objects(&self) -> bool {

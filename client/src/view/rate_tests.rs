@@ -136,3 +136,28 @@ fn a_tier_changes_what_objects_cost_and_nothing_else() {
     assert!(!changed.is_empty() && changed.iter().all(|at| *at >= 8 * SIZE.0 as usize), "{changed:?}");
     assert_eq!(full, frame(0).0, "and back");
 }
+
+#[test]
+fn every_pass_of_every_view_has_a_column() {
+    let gpu = Gpu::headless().unwrap();
+    let mut renderer = Renderer::new(&gpu, wgpu::TextureFormat::Rgba8UnormSrgb).unwrap();
+    let mut environment = Environment::new(&gpu).unwrap();
+    assert!(renderer.set_scene(&gpu, &ball(mirror()), &|_| None).is_empty());
+    let offscreen = crate::headless::Offscreen::new(&gpu.device, &gpu.queue, 32, 32);
+    let target = offscreen.target();
+    let mut seen = Vec::new();
+    for i in 0..4 {
+        let light = LightFrame { pts_us: i, published_us: 0, lift: Lift::Linear, sh: vec![Vec3::ONE; 9], lights: vec![sun(Vec3::Y, 2.0)] };
+        renderer.set_light(&light);
+        let views = std::array::from_fn::<_, MAX_VIEWS, _>(|_| View { camera: camera(), target: &target.view, size: (32, 32) });
+        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        seen.extend(renderer.render(&gpu, &mut encoder, &mut environment, &views).passes.iter().map(|pass| pass.name));
+        gpu.queue.submit([encoder.finish()]);
+        gpu.wait().unwrap();
+    }
+    // All but those of the second light and further ones; names of columns are parted by commas.
+    for name in PASSES.into_iter().filter(|name| !["shadow 2", "shadow 3", "shadow 4"].contains(name)) {
+        assert!(seen.contains(&name) && !name.contains(','), "{name}: {seen:?}");
+    }
+    assert!(seen.iter().all(|name| PASSES.contains(name)), "{seen:?}");
+}
