@@ -5,6 +5,8 @@ use mr360_protocol::clock::ClientTime;
 use mr360_protocol::light::LightFrame;
 use mr360_shaders::sh::irradiance;
 
+use super::ReceivedLight;
+
 /// Frames farther apart than this say nothing of the time between them: as after lost frames, or a pause. Microseconds.
 const LONGEST_GAP_US: u64 = 100_000;
 /// A cut changes the irradiance of some surface by more than this share of the greatest: an exposure that rises at 10 EV/s changes by 0.21 in a
@@ -31,7 +33,7 @@ pub struct LightBlend {
 /// Where the light is going, fixed until the next picture: what comes later would make it jump.
 struct Next {
     light: LightFrame,
-    /// When this was known; the light sets out then, from where it is.
+    /// When it had come; the light sets out then, or when the picture was switched to.
     from: ClientTime,
     until: ClientTime,
     /// False for cuts, which take place when they do.
@@ -47,13 +49,13 @@ impl LightBlend {
 
     /// Moves on to `now`. `upcoming` is the next light that waits for its picture. Returns the light to be shown from now on, or `None` while
     /// it would look the same.
-    pub fn advance(&mut self, now: ClientTime, upcoming: Option<&LightFrame>) -> Option<&LightFrame> {
+    pub fn advance(&mut self, now: ClientTime, upcoming: Option<&ReceivedLight>) -> Option<&LightFrame> {
         if self.next.is_none()
-            && let Some(light) = upcoming
+            && let Some(ReceivedLight { light, arrived }) = upcoming
         {
             let interval_us = light.pts_us.saturating_sub(self.own.pts_us);
             let until = ClientTime(self.switched.0.saturating_add(interval_us));
-            self.next = Some(Next { light: light.clone(), from: now, until, follows: follows(&self.own, light) });
+            self.next = Some(Next { light: light.clone(), from: self.switched.max(*arrived), until, follows: follows(&self.own, light) });
         }
         let next = self.next.as_ref().filter(|next| next.follows && next.from < next.until)?;
         let (gone, whole) = (now.0.saturating_sub(next.from.0), next.until.0 - next.from.0);
@@ -143,13 +145,19 @@ mod tests {
         LightFrame { pts_us, published_us: pts_us, lift: Lift::Linear, sh, lights: lights.iter().map(light).collect() }
     }
 
-    fn ambient(blend: &mut LightBlend, after_us: u64, upcoming: Option<&LightFrame>) -> Option<f32> {
+    /// Of a light that came `after_us` after its picture was switched to.
+    fn received(light: &LightFrame, after_us: u64) -> ReceivedLight {
+        ReceivedLight { light: light.clone(), arrived: ClientTime(BEGIN + after_us) }
+    }
+
+    fn ambient(blend: &mut LightBlend, after_us: u64, upcoming: Option<&ReceivedLight>) -> Option<f32> {
         blend.advance(ClientTime(BEGIN + after_us), upcoming).map(|light| light.sh[0].x)
     }
 
     #[test]
     fn a_picture_has_its_own_light_at_its_instant_and_approaches_the_next_ones() {
-        let (own, next) = (frame(7, 1.0, &[]), frame(8, 1.2, &[]));
+        // It came before the picture was due.
+        let (own, next) = (frame(7, 1.0, &[]), ReceivedLight { arrived: ClientTime(BEGIN - 9_000), ..received(&frame(8, 1.2, &[]), 0) });
         let mut blend = LightBlend::new(own, ClientTime(BEGIN));
         assert_eq!((ambient(&mut blend, 0, Some(&next)), blend.weight()), (None, 0.0));
         let third = ambient(&mut blend, 11_000, Some(&next)).unwrap();
@@ -164,17 +172,21 @@ mod tests {
 
     #[test]
     fn light_that_comes_within_the_interval_is_approached_without_a_jump_and_late_light_is_not() {
-        let next = frame(1, 1.2, &[]);
+        let next = received(&frame(1, 1.2, &[]), 13_000);
         let mut blend = LightBlend::new(frame(0, 1.0, &[]), ClientTime(BEGIN));
         assert_eq!((ambient(&mut blend, 0, None), ambient(&mut blend, 13_000, Some(&next))), (None, None));
         let half = ambient(&mut blend, 23_000, Some(&next)).unwrap();
         assert!((half - 1.1).abs() < 1e-6, "{half}");
+        // However rarely frames are drawn.
+        let mut rare = LightBlend::new(frame(0, 1.0, &[]), ClientTime(BEGIN));
+        assert_eq!(ambient(&mut rare, 23_000, Some(&next)), Some(half));
         // Light of frame 1 that comes after that of frame 2 does not turn the light around.
         let mut gap = LightBlend::new(frame(0, 1.0, &[]), ClientTime(BEGIN));
-        gap.advance(ClientTime(BEGIN), Some(&frame(2, 1.2, &[])));
-        let third = ambient(&mut gap, 22_000, Some(&frame(1, 0.9, &[]))).unwrap();
+        gap.advance(ClientTime(BEGIN), Some(&received(&frame(2, 1.2, &[]), 0)));
+        let third = ambient(&mut gap, 22_000, Some(&received(&frame(1, 0.9, &[]), 20_000))).unwrap();
         assert!((third - (1.0 + 0.2 / 3.0)).abs() < 1e-6, "{third}");
         let mut late = LightBlend::new(frame(0, 1.0, &[]), ClientTime(BEGIN));
+        let next = received(&frame(1, 1.2, &[]), 33_000);
         assert!((33_000..70_000).step_by(1_000).all(|at| ambient(&mut late, at, Some(&next)).is_none()));
     }
 
@@ -184,7 +196,8 @@ mod tests {
         let own = frame(3, 2.0, &[sun(1, Vec3::Y)]);
         let stays = |next: &LightFrame| {
             let mut blend = LightBlend::new(own.clone(), ClientTime(BEGIN));
-            (0..200_000).step_by(1_000).all(|at| blend.advance(ClientTime(BEGIN + at), Some(next)).is_none()) && blend.weight() == 0.0
+            (0..200_000).step_by(1_000).all(|at| blend.advance(ClientTime(BEGIN + at), Some(&received(next, 0))).is_none())
+                && blend.weight() == 0.0
         };
         // 132 ms between them; before; twice the same.
         assert!(stays(&frame(7, 2.1, &[sun(1, Vec3::Y)])) && stays(&frame(2, 2.1, &[sun(1, Vec3::Y)])) && stays(&own));
@@ -209,8 +222,7 @@ mod tests {
         ];
         for next in &nexts {
             let mut blend = LightBlend::new(own.clone(), ClientTime(BEGIN));
-            blend.advance(ClientTime(BEGIN), Some(next));
-            assert!(blend.advance(ClientTime(BEGIN + INTERVAL_US / 2), Some(next)).is_some(), "{next:?}");
+            assert!(blend.advance(ClientTime(BEGIN + INTERVAL_US / 2), Some(&received(next, 0))).is_some(), "{next:?}");
         }
         let dark = frame(0, 0.0, &[]);
         assert!(follows(&dark, &frame(1, 0.0, &[])) && !follows(&dark, &frame(1, 0.1, &[])));
@@ -219,6 +231,7 @@ mod tests {
     #[test]
     fn a_still_light_costs_nothing() {
         let (own, next) = (frame(0, 1.0, &[(1, Vec3::Y, 2.0)]), frame(1, 1.003, &[(1, Vec3::new(2e-4, 1.0, 0.0), 2.003)]));
+        let next = received(&next, 0);
         let mut blend = LightBlend::new(own, ClientTime(BEGIN));
         assert!((0..33_000).step_by(1_000).all(|at| blend.advance(ClientTime(BEGIN + at), Some(&next)).is_none()));
         assert_eq!(blend.weight(), 0.0);

@@ -203,8 +203,8 @@ impl Playout {
 
     /// The light of the next picture after the one handed out last, if it is here; the picture may yet come, or not.
     #[must_use]
-    pub fn upcoming_light(&self) -> Option<&LightFrame> {
-        Some(&self.lights.next_after(self.last_shown_us?)?.light)
+    pub fn upcoming_light(&self) -> Option<&ReceivedLight> {
+        self.lights.next_after(self.last_shown_us?)
     }
 
     /// When [`Playout::poll`] next has something to do, or `None` while nothing waits. A new arrival may bring it forward.

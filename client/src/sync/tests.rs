@@ -175,7 +175,7 @@ fn the_audio_offset_is_where_pictures_are_shown() {
 #[test]
 fn the_light_after_the_picture_on_screen_is_known_as_soon_as_it_is_here() {
     let mut playout = Playout::new();
-    let upcoming = |playout: &Playout| playout.upcoming_light().map(|light| light.pts_us);
+    let upcoming = |playout: &Playout| playout.upcoming_light().map(|received| received.light.pts_us);
     playout.push_light(light(FRAME_US, START_US));
     assert_eq!(upcoming(&playout), None, "nothing is on screen yet");
     playout.push_picture(decoded(0, START_US), ClientTime(START_US));
