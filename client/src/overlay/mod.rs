@@ -23,7 +23,7 @@ const MAP: IVec2 = IVec2::new(168, 84);
 
 const PAPER: Colour = [0, 0, 0, 170];
 const INK: Colour = [235, 235, 235, 255];
-const FAINT: Colour = [130, 130, 130, 255];
+const FAINT: Colour = [170, 170, 170, 255];
 const WARNING: Colour = [255, 120, 90, 255];
 
 /// What is told of a frame.
