@@ -174,7 +174,7 @@ impl LiveStage {
             drawn,
             cost_ms,
             budget_ms: self.governor.budget_us().map(|budget| budget * 1e-3),
-            light: renderer.light(),
+            light: renderer.current_light(),
             looking: camera.ray(Vec2::ZERO, 1.0),
         };
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("overlay") });

@@ -185,7 +185,7 @@ impl Renderer {
 
     /// The light in force.
     #[must_use]
-    pub fn light(&self) -> &FrameLight {
+    pub fn current_light(&self) -> &FrameLight {
         &self.current
     }
 
