@@ -8,13 +8,16 @@ use std::time::Duration;
 
 use glam::{Vec2, Vec3};
 use mr360_protocol::clock::{ClientTime, ClockOffset, ServerTime};
+use mr360_protocol::light::LightFrame;
 use mr360_protocol::scene::ObjectId;
 
 use crate::audio::AudioTimeline;
 use crate::camera::Camera;
 use crate::decode::{DecodeCounters, PictureReceiver};
+use crate::governor::Tier;
 use crate::stats::{FrameTimes, LightTimes, PassTime, Stats};
-use crate::sync::{ClientClock, Paired, Playout, ReceivedLight};
+use crate::sync::{ClientClock, LightBlend, Paired, Playout, ReceivedLight};
+use crate::view::Plan;
 
 /// Longest rest between two looks at what arrived: well within the least playout delay of 20 ms.
 const IDLE: Duration = Duration::from_millis(4);
@@ -56,6 +59,17 @@ pub struct Target {
     pub height: u32,
 }
 
+/// What drawing a view came to.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Drawn {
+    /// GPU times known by now, those of an earlier frame included.
+    pub passes: Vec<PassTime>,
+    /// How much was left out.
+    pub tier: Tier,
+    /// What was done.
+    pub plan: Plan,
+}
+
 /// The renderer, as the frame loop sees it.
 pub trait Stage {
     /// Takes in what came for the scene since the last turn; true when the view looks different for it.
@@ -70,11 +84,18 @@ pub trait Stage {
     /// As [`Stage::prepare`].
     fn update(&mut self, paired: Paired) -> Result<(), FrameError>;
 
-    /// Draws the view and submits it. Returns the GPU times known by now, those of an earlier frame included.
+    /// Lights objects from the next frame on by this light, which lies between that of the picture and the next one's. True when the view
+    /// looks different for it.
+    fn relight(&mut self, light: &LightFrame) -> bool;
+
+    /// Draws the view and submits it.
     ///
     /// # Errors
     /// As [`Stage::prepare`].
-    fn draw(&mut self, camera: &Camera, target: &Target) -> Result<Vec<PassTime>, FrameError>;
+    fn draw(&mut self, camera: &Camera, target: &Target) -> Result<Drawn, FrameError>;
+
+    /// Shows what a frame costs over the view, or no longer.
+    fn toggle_overlay(&mut self) {}
 
     /// Why the device was lost, once it is.
     fn device_lost(&self) -> Option<String>;
@@ -162,6 +183,7 @@ struct OnStage {
     arrived: ClientTime,
     decoded: ClientTime,
     light: Option<LightTimes>,
+    blend: Option<LightBlend>,
     paired: ClientTime,
     uploaded: ClientTime,
     presented_once: bool,
@@ -178,6 +200,8 @@ pub struct FrameLoop {
     /// What is on stage has changed since it was drawn.
     stale: bool,
     last_camera: Option<Camera>,
+    /// How long the last frame took to draw and present, microseconds.
+    drawing_us: u64,
     frames: u64,
     ended: bool,
 }
@@ -196,6 +220,7 @@ impl FrameLoop {
             on_stage: None,
             stale: false,
             last_camera: None,
+            drawing_us: 0,
             frames: 0,
             ended: false,
         }
@@ -219,6 +244,7 @@ impl FrameLoop {
         self.take_in();
         self.stale |= stage.prepare()?;
         let new_picture = self.update(stage)?;
+        self.relight(stage, redraw);
         let wanted = match redraw {
             Redraw::OnPicture => new_picture || self.on_stage.as_ref().is_some_and(|on_stage| !on_stage.presented_once),
             Redraw::OnChange => self.stale || self.last_camera != Some(*camera),
@@ -332,6 +358,7 @@ impl FrameLoop {
             arrived: paired.arrived,
             decoded: paired.decoded,
             light: paired.light.as_ref().and_then(|light| self.light_times(light)),
+            blend: paired.light.as_ref().map(|light| LightBlend::new(light.light.clone(), now)),
             paired: paired.paired,
             uploaded: paired.paired,
             presented_once: false,
@@ -343,17 +370,34 @@ impl FrameLoop {
         Ok(true)
     }
 
+    /// Moves the light on between two pictures.
+    fn relight(&mut self, stage: &mut impl Stage, redraw: Redraw) {
+        // A picture that is drawn once is drawn under its own light.
+        if redraw == Redraw::OnPicture {
+            return;
+        }
+        let now = self.clock.now();
+        let Some(blend) = self.on_stage.as_mut().and_then(|on_stage| on_stage.blend.as_mut()) else { return };
+        let Some(light) = blend.advance(now, self.playout.upcoming_light()) else { return };
+        let differs = stage.relight(light);
+        // Where drawing is slow, a frame for the light alone would hold up the next picture.
+        let fast = blend.interval_us().is_some_and(|interval| 2 * self.drawing_us <= interval);
+        self.stale |= differs && fast;
+    }
+
     fn show(&mut self, stage: &mut impl Stage, presenter: &mut impl Presenter, camera: &Camera) -> Result<bool, FrameError> {
         let Some(on_stage) = self.on_stage.as_mut() else { return Ok(false) };
         let Some(target) = presenter.acquire()? else { return Ok(false) };
         let begun = self.clock.now();
-        let passes = stage.draw(camera, &target)?;
+        let drawn = stage.draw(camera, &target)?;
         let rendered = self.clock.now();
         presenter.present(on_stage.time, rendered)?;
         // What a lost device drew is nothing to count.
         if let Some(detail) = stage.device_lost() {
             return Err(FrameError::DeviceLost { detail });
         }
+        let presented = self.clock.now();
+        self.drawing_us = presented.0.saturating_sub(begun.0);
         let times = FrameTimes {
             frame: self.frames,
             pts_us: on_stage.time.pts_us,
@@ -361,11 +405,12 @@ impl FrameLoop {
             arrived: on_stage.arrived,
             decoded: on_stage.decoded,
             light: on_stage.light,
+            light_weight: on_stage.blend.as_ref().map_or(0.0, LightBlend::weight),
             paired: on_stage.paired,
             uploaded: on_stage.uploaded,
             begun,
             rendered,
-            presented: self.clock.now(),
+            presented,
             playout_delay_us: self.playout.delay_us(),
         };
         on_stage.presented_once = true;
@@ -376,7 +421,7 @@ impl FrameLoop {
         }
         self.frames += 1;
         self.stats.counted(self.playout.drops(), Some(&self.inputs.decoder));
-        self.stats.presented(&times, &passes);
+        self.stats.presented(&times, &drawn);
         Ok(true)
     }
 }

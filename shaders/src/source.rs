@@ -75,14 +75,24 @@ pub enum Module {
     Ground,
     /// Video and objects to the target.
     Composite,
+    /// What is told of a frame, over the view.
+    Overlay,
     /// Light kernels at given directions, for tests against their CPU twins.
     Probe,
 }
 
 impl Module {
     /// Every module.
-    pub const ALL: [Self; 7] =
-        [Self::EnvironmentLift, Self::EnvironmentMip, Self::Caster, Self::Object, Self::Ground, Self::Composite, Self::Probe];
+    pub const ALL: [Self; 8] = [
+        Self::EnvironmentLift,
+        Self::EnvironmentMip,
+        Self::Caster,
+        Self::Object,
+        Self::Ground,
+        Self::Composite,
+        Self::Overlay,
+        Self::Probe,
+    ];
 
     /// Name of its file.
     #[must_use]
@@ -94,6 +104,7 @@ impl Module {
             Self::Object => "object.wgsl",
             Self::Ground => "ground.wgsl",
             Self::Composite => "composite.wgsl",
+            Self::Overlay => "overlay.wgsl",
             Self::Probe => "probe.wgsl",
         }
     }
@@ -135,6 +146,7 @@ files![
     "ground.wgsl",
     "object.wgsl",
     "occlusion.wgsl",
+    "overlay.wgsl",
     "probe.wgsl",
     "reflection.wgsl",
     "sh.wgsl",

@@ -1,3 +1,4 @@
+use std::sync::atomic::AtomicU64;
 use std::sync::mpsc::channel;
 
 use bytes::Bytes;
@@ -8,7 +9,7 @@ use mr360_protocol::video::{Colour, StereoLayout};
 
 use super::*;
 use crate::decode::{DecodeCounters, Decoded, PictureReceiver, PictureSender, outbox};
-use crate::frame_loop::{Arrival, Inputs};
+use crate::frame_loop::{Arrival, Drawn, Inputs};
 use crate::picture::{Picture, Plane, Samples};
 use crate::stats::{PassTime, Stats};
 use crate::sync::{ClientClock, Paired, ReceivedLight};
@@ -18,6 +19,8 @@ struct Clear {
     device: wgpu::Device,
     queue: wgpu::Queue,
     luma: u8,
+    /// How often the light was moved on.
+    relit: Arc<AtomicU64>,
     /// Pretends that the device is lost.
     lost: bool,
 }
@@ -34,7 +37,12 @@ impl Stage for Clear {
         Ok(())
     }
 
-    fn draw(&mut self, _camera: &Camera, target: &Target) -> Result<Vec<PassTime>, FrameError> {
+    fn relight(&mut self, _light: &LightFrame) -> bool {
+        self.relit.fetch_add(1, Ordering::Relaxed);
+        true
+    }
+
+    fn draw(&mut self, _camera: &Camera, target: &Target) -> Result<Drawn, FrameError> {
         let value = f64::from(self.luma) / 255.0;
         let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         drop(encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
@@ -50,7 +58,7 @@ impl Stage for Clear {
             ..Default::default()
         }));
         self.queue.submit([encoder.finish()]);
-        Ok(vec![PassTime { name: "clear", gpu_ms: 0.5 }])
+        Ok(Drawn { passes: vec![PassTime { name: "clear", gpu_ms: 0.5 }], ..Drawn::default() })
     }
 
     fn device_lost(&self) -> Option<String> {
@@ -75,7 +83,7 @@ fn graphics(lost: bool) -> Graphics<Clear> {
     let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
     let adapter = runtime.block_on(instance.request_adapter(&wgpu::RequestAdapterOptions::default())).unwrap();
     let (device, queue) = runtime.block_on(adapter.request_device(&wgpu::DeviceDescriptor::default())).unwrap();
-    Graphics { stage: Clear { device: device.clone(), queue: queue.clone(), luma: 0, lost }, device, queue }
+    Graphics { stage: Clear { device: device.clone(), queue: queue.clone(), luma: 0, relit: Arc::default(), lost }, device, queue }
 }
 
 fn picture(index: u64, clock: ClientClock) -> Decoded {
@@ -177,6 +185,32 @@ fn a_fixed_pace_repeats_the_picture_and_stops_at_the_count() {
     assert!(matches!(run(&mut frames, &wrong, Files::default(), &mut || Ok(graphics(false)), &mut still), Err(HeadlessError::Pace(_))));
     let summary = frames.into_stats().finish().unwrap();
     assert_eq!((summary.frames(), summary.pictures()), (5, 1));
+}
+
+#[test]
+fn light_moves_between_pictures_where_frames_are_drawn_between_them() {
+    for (pace, frames, moves) in [(Pace::Fixed(20.0), Some(5), true), (Pace::Video, None, false)] {
+        let clock = ClientClock::start();
+        let (pictures, taken) = outbox(1);
+        let (lights, arrivals) = channel();
+        // The light of the picture, and of one 90 ms later that is not here: it is approached, and kept where it ends.
+        for (pts_us, sh) in [(0, 1.0), (90_000, 1.2)] {
+            let light = LightFrame { pts_us, published_us: 0, lift: Default::default(), sh: vec![Vec3::splat(sh); SH9], lights: vec![] };
+            lights.send(Arrival::Light(ReceivedLight { light, arrived: clock.now() })).unwrap();
+        }
+        pictures.send(picture(0, clock)).ok().unwrap();
+        let inputs = Inputs { pictures: taken, arrivals, decoder: Arc::new(DecodeCounters::default()), audio: None };
+        let mut shown = FrameLoop::new(inputs, clock, Stats::open(None, &["clear"]).unwrap());
+        let options = HeadlessOptions { frames, pace, duration: Some(Duration::from_millis(500)), ..options() };
+        let graphics = graphics(false);
+        let relit = Arc::clone(&graphics.stage.relit);
+        let mut graphics = Some(graphics);
+        let mut open = || graphics.take().ok_or_else(|| "opened twice".into());
+        run(&mut shown, &options, Files::default(), &mut open, &mut still).unwrap();
+        assert_eq!(relit.load(Ordering::Relaxed) > 0, moves, "{pace:?}");
+        let summary = shown.into_stats().finish().unwrap().to_string();
+        assert_eq!(!summary.contains(" 0 frames under light between"), moves, "{summary}");
+    }
 }
 
 #[test]

@@ -13,10 +13,15 @@ use crate::Failure;
 use crate::arguments::{parse_angle, parse_fov, parse_size};
 use crate::camera::Camera;
 use crate::decode::Hardware;
+use crate::frame_loop::Stage;
+use crate::governor::{Governor, Tier};
 use crate::headless::{Files, HeadlessOptions, Pace};
 use crate::receive;
 use crate::record::{PictureFile, RecordError, Recorder};
 use crate::window::WindowOptions;
+
+/// A display whose rate is not known, in thousandths of a frame a second.
+pub(super) const DISPLAY_MHZ: u32 = 60_000;
 
 /// Where to present.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -65,6 +70,13 @@ pub struct JoinArgs {
     /// Look up, headless.
     #[arg(long, value_name = "DEGREES", default_value_t = 0.0, value_parser = parse_angle, allow_negative_numbers = true)]
     pub pitch_deg: f32,
+    /// What to leave out of frames: 0 nothing, 4 all that can be, or auto, as much as keeps up with the display [default: auto in a window,
+    /// else 0].
+    #[arg(long, value_name = "N", value_parser = parse_tier)]
+    pub tier: Option<TierChoice>,
+    /// Show what a frame costs over the view, as F1 does in a window.
+    #[arg(long)]
+    pub overlay: bool,
     /// Decode in software, even where the GPU could.
     #[arg(long)]
     pub software_decoding: bool,
@@ -74,6 +86,15 @@ pub struct JoinArgs {
     /// Name in the session, 1 to 64 of a-z A-Z 0-9 - _ [default: a random one].
     #[arg(long, value_name = "NAME")]
     pub user: Option<String>,
+}
+
+/// Who chooses the tier.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TierChoice {
+    /// The governor.
+    Auto,
+    /// The user.
+    Fixed(Tier),
 }
 
 /// What holds, checked.
@@ -90,6 +111,8 @@ pub(super) struct Settings {
     frames: Option<u64>,
     duration: Option<Duration>,
     pace: Pace,
+    overlay: bool,
+    tier: Option<TierChoice>,
     mute: bool,
 }
 
@@ -119,6 +142,8 @@ impl JoinArgs {
             frames: self.frames,
             duration: self.duration,
             pace: self.fps.map_or(Pace::Video, Pace::Fixed),
+            overlay: self.overlay,
+            tier: self.tier,
             mute: self.mute,
         })
     }
@@ -127,6 +152,29 @@ impl JoinArgs {
 impl Settings {
     pub(super) fn wants_sound(&self) -> bool {
         self.mode == Mode::Window && !self.mute
+    }
+
+    /// For a display that shows so many frames in 1,000 seconds, or for a file.
+    pub(super) fn governor(&self, display_mhz: Option<u32>) -> Governor {
+        let file_mhz = match self.pace {
+            Pace::Fixed(fps) => (fps * 1e3) as u32,
+            Pace::Video => DISPLAY_MHZ,
+        };
+        let automatic = |mhz: u32| Governor::automatic(u32::try_from(1_000_000_000 / u64::from(mhz.max(1))).unwrap_or(u32::MAX));
+        match (self.tier, display_mhz) {
+            (Some(TierChoice::Fixed(tier)), _) => Governor::fixed(tier),
+            (None, None) => Governor::fixed(Tier::FULL),
+            (_, Some(display)) => automatic(display),
+            (Some(TierChoice::Auto), None) => automatic(file_mhz),
+        }
+    }
+
+    /// As the user wants it to begin.
+    pub(super) fn stage<S: Stage>(&self, mut stage: S) -> S {
+        if self.overlay {
+            stage.toggle_overlay();
+        }
+        stage
     }
 
     pub(super) fn headless(&self) -> HeadlessOptions {
@@ -174,6 +222,27 @@ fn parse_seconds(text: &str) -> Result<Duration, String> {
     seconds.filter(|seconds| !seconds.is_zero()).ok_or_else(|| "a duration is a number of seconds above 0".to_owned())
 }
 
+fn parse_tier(text: &str) -> Result<TierChoice, String> {
+    let number = text.parse().ok().and_then(Tier::new).map(TierChoice::Fixed);
+    let choice = if text == "auto" { Some(TierChoice::Auto) } else { number };
+    choice.ok_or_else(|| format!("a tier is auto or a number from 0 to {}", Tier::LOWEST.number()))
+}
+
 fn parse_fps(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|fps: &f64| fps.is_finite() && *fps > 0.0).ok_or_else(|| "a rate is a number of frames above 0".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tier_is_auto_or_a_number_and_nothing_else() {
+        assert_eq!(parse_tier("auto"), Ok(TierChoice::Auto));
+        assert_eq!(parse_tier("0"), Ok(TierChoice::Fixed(Tier::FULL)));
+        assert_eq!(parse_tier("4"), Ok(TierChoice::Fixed(Tier::LOWEST)));
+        for wrong in ["5", "-1", "", "Auto"] {
+            assert!(parse_tier(wrong).unwrap_err().contains("0 to 4"), "{wrong}");
+        }
+    }
 }

@@ -5,18 +5,21 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use glam::{Vec2, Vec3};
 use mr360_protocol::asset::AssetId;
+use mr360_protocol::clock::ClientTime;
 use mr360_protocol::light::LightFrame;
 use mr360_protocol::scene::{ApplyError, ObjectId, Scene, SceneMessage, Transform};
 
 use crate::camera::Camera;
 use crate::environment::Environment;
-use crate::frame_loop::{BoxError, FrameError, Stage, Target};
+use crate::frame_loop::{BoxError, Drawn, FrameError, Stage, Target};
+use crate::governor::Governor;
 use crate::gpu::Gpu;
+use crate::overlay::{Overlay, Told};
 use crate::scene::model::{LoadedModel, ModelError};
 use crate::scene::pick::Ray;
 use crate::stats::PassTime;
-use crate::sync::{Paired, ReceivedLight};
-use crate::view::{Renderer, View};
+use crate::sync::{ClientClock, Paired, ReceivedLight};
+use crate::view::{FrameReport, Renderer, View};
 
 /// Most bytes of memory for all models together.
 const MAX_MODEL_BYTES: usize = 2 * 1024 * 1024 * 1024;
@@ -97,6 +100,11 @@ pub struct LiveStage {
     lit: bool,
     light: Option<LightFrame>,
     warned: HashMap<ObjectId, String>,
+    governor: Governor,
+    clock: ClientClock,
+    overlay_shown: bool,
+    /// Made when first shown, for the format of the target.
+    overlay: Option<(wgpu::TextureFormat, Overlay)>,
 }
 
 impl LiveStage {
@@ -104,9 +112,23 @@ impl LiveStage {
     ///
     /// # Errors
     /// When the build lacks a shader.
-    pub fn new(gpu: Gpu, shared: SharedScene) -> Result<Self, BoxError> {
+    pub fn new(gpu: Gpu, shared: SharedScene, governor: Governor) -> Result<Self, BoxError> {
         let environment = Environment::new(&gpu)?;
-        Ok(Self { gpu, environment, shared, renderer: None, shown: None, ground_y: 0.0, lit: false, light: None, warned: HashMap::new() })
+        Ok(Self {
+            gpu,
+            environment,
+            shared,
+            renderer: None,
+            shown: None,
+            ground_y: 0.0,
+            lit: false,
+            light: None,
+            warned: HashMap::new(),
+            governor,
+            clock: ClientClock::start(),
+            overlay_shown: false,
+            overlay: None,
+        })
     }
 
     fn follow_scene(&mut self) {
@@ -125,6 +147,40 @@ impl LiveStage {
         }
         self.ground_y = state.scene.ground_y;
         self.shown = Some(state.version);
+    }
+
+    /// Tells the governor what a frame cost: CPU and GPU work side by side, so that the longer of the two counts. Returns it, milliseconds.
+    fn govern(&mut self, begun: ClientTime, passes: &[PassTime]) -> f32 {
+        let Some((_, renderer)) = &self.renderer else { return 0.0 };
+        let now = self.clock.now();
+        let gpu_us = passes.iter().map(|pass| pass.gpu_ms).sum::<f32>() * 1_000.0;
+        let cost_us = now.0.saturating_sub(begun.0).max(gpu_us as u64);
+        let cost_ms = cost_us as f32 * 1e-3;
+        if let Some(tier) = self.governor.observe(now, cost_us, &|tier| renderer.plan(tier)) {
+            let budget_ms = self.governor.budget_us().unwrap_or_default() * 1e-3;
+            tracing::info!(%tier, plan = ?renderer.plan(tier), "frames took about {cost_ms:.1} ms of {budget_ms:.1}: changing what they do");
+        }
+        cost_ms
+    }
+
+    fn draw_overlay(&mut self, camera: &Camera, target: &Target, drawn: &Drawn, cost_ms: f32) -> Result<(), FrameError> {
+        let Some((_, renderer)) = self.renderer.as_ref().filter(|_| self.overlay_shown) else { return Ok(()) };
+        if self.overlay.as_ref().is_none_or(|(format, _)| *format != target.format) {
+            let failed = |source: BoxError| FrameError::Failed { action: "setting up the overlay", source };
+            self.overlay = Some((target.format, Overlay::new(&self.gpu, target.format).map_err(|error| failed(error.into()))?));
+        }
+        let Some((_, overlay)) = &mut self.overlay else { return Ok(()) };
+        let told = Told {
+            drawn,
+            cost_ms,
+            budget_ms: self.governor.budget_us().map(|budget| budget * 1e-3),
+            light: renderer.current_light(),
+            looking: camera.ray(Vec2::ZERO, 1.0),
+        };
+        let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("overlay") });
+        overlay.draw(&self.gpu, &mut encoder, (&target.view, (target.width, target.height)), &told);
+        self.gpu.queue.submit([encoder.finish()]);
+        Ok(())
     }
 }
 
@@ -147,7 +203,13 @@ impl Stage for LiveStage {
         Ok(())
     }
 
-    fn draw(&mut self, camera: &Camera, target: &Target) -> Result<Vec<PassTime>, FrameError> {
+    fn relight(&mut self, light: &LightFrame) -> bool {
+        let Some((_, renderer)) = self.renderer.as_mut().filter(|_| self.lit) else { return false };
+        renderer.relight(light);
+        renderer.has_objects()
+    }
+
+    fn draw(&mut self, camera: &Camera, target: &Target) -> Result<Drawn, FrameError> {
         if self.renderer.as_ref().is_none_or(|(format, _)| *format != target.format) {
             let failed = |source: BoxError| FrameError::Failed { action: "setting up the renderer", source };
             let mut renderer = Renderer::new(&self.gpu, target.format).map_err(|error| failed(error.into()))?;
@@ -158,12 +220,23 @@ impl Stage for LiveStage {
             self.shown = None;
         }
         self.follow_scene();
-        let Some((_, renderer)) = &mut self.renderer else { return Ok(Vec::new()) };
+        let begun = self.clock.now();
+        let Some((_, renderer)) = &mut self.renderer else { return Ok(Drawn::default()) };
+        let tier = self.governor.tier();
+        renderer.set_tier(tier);
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("frame") });
         let view = View { camera: *camera, target: &target.view, size: (target.width, target.height) };
         let report = renderer.render(&self.gpu, &mut encoder, &mut self.environment, &[view]);
         self.gpu.queue.submit([encoder.finish()]);
-        Ok(report.passes)
+        let FrameReport { passes, plan, .. } = report;
+        let cost_ms = self.govern(begun, &passes);
+        let drawn = Drawn { passes, tier, plan };
+        self.draw_overlay(camera, target, &drawn, cost_ms)?;
+        Ok(drawn)
+    }
+
+    fn toggle_overlay(&mut self) {
+        self.overlay_shown = !self.overlay_shown;
     }
 
     fn device_lost(&self) -> Option<String> {
@@ -195,6 +268,7 @@ mod tests {
     use mr360_protocol::video::{StereoLayout, Transfer};
 
     use super::*;
+    use crate::governor::Tier;
     use crate::picture::{Picture, Samples};
     use crate::scene::mesh::{Bounds, Mesh};
     use crate::scene::model::Model;
@@ -253,7 +327,7 @@ mod tests {
     fn paired(lit: bool) -> Paired {
         let samples = Samples::Rgba16F { texels: vec![half::f16::ONE; 2 * 4], transfer: Transfer::Linear };
         let picture = Picture { pts_us: 0, width: 2, height: 1, stereo: StereoLayout::Mono, samples };
-        let now = mr360_protocol::clock::ClientTime(0);
+        let now = ClientTime(0);
         let light = LightFrame { pts_us: 0, published_us: 0, lift: Default::default(), sh: vec![Vec3::ONE; SH9], lights: vec![] };
         let light = lit.then_some(ReceivedLight { light, arrived: now });
         Paired { picture, light, arrived: now, decoded: now, paired: now }
@@ -265,7 +339,7 @@ mod tests {
         let (device, queue) = (gpu.device.clone(), gpu.queue.clone());
         let shared = SharedScene::default();
         shared.apply(&snapshot(Geometry::Shape(mr360_protocol::scene::Shape::Sphere))).unwrap();
-        let mut stage = LiveStage::new(gpu, shared).unwrap();
+        let mut stage = LiveStage::new(gpu, shared, Governor::fixed(Tier::FULL)).unwrap();
         let offscreen = crate::headless::Offscreen::new(&device, &queue, 8, 8);
         let camera = Camera { position: Vec3::Z * 3.0, ..Camera::looking(0.0, 0.0, 1.0) };
         let mut seen = Vec::new();

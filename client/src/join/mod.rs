@@ -28,7 +28,7 @@ use crate::stats::Stats;
 use crate::sync::ClientClock;
 use crate::view;
 use crate::window::{self, UserAction, WindowError, WindowGraphics};
-use args::Settings;
+use args::{DISPLAY_MHZ, Settings};
 use arrivals::Arrivals;
 use inbox::Inbox;
 use live_stage::SharedScene;
@@ -82,11 +82,14 @@ fn present(settings: &Settings, stats: Stats, files: Files) -> anyhow::Result<()
 
 fn in_window(frames: &mut FrameLoop, settings: &Settings, scene: &SharedScene, user: &User) -> anyhow::Result<()> {
     let mut open = |window: Arc<winit::window::Window>| -> Result<WindowGraphics<LiveStage>, BoxError> {
+        let display_mhz = window.current_monitor().and_then(|monitor| monitor.refresh_rate_millihertz()).unwrap_or(DISPLAY_MHZ);
+        let governor = settings.governor(Some(display_mhz));
         let instance = gpu::vulkan_instance();
         let surface = instance.create_surface(window)?;
         let gpu = Gpu::new(instance, Some(&surface))?;
         let (adapter, device, queue) = (gpu.adapter.clone(), gpu.device.clone(), gpu.queue.clone());
-        Ok(WindowGraphics { surface, adapter, device, queue, stage: LiveStage::new(gpu, scene.clone())? })
+        let stage = settings.stage(LiveStage::new(gpu, scene.clone(), governor)?);
+        Ok(WindowGraphics { surface, adapter, device, queue, stage })
     };
     let mut act = |action| {
         let wish = match action {
@@ -113,7 +116,8 @@ fn to_file(frames: &mut FrameLoop, settings: &Settings, files: Files, scene: &Sh
     let mut open = || -> Result<Graphics<LiveStage>, BoxError> {
         let gpu = Gpu::headless()?;
         let (device, queue) = (gpu.device.clone(), gpu.queue.clone());
-        Ok(Graphics { device, queue, stage: LiveStage::new(gpu, scene.clone())? })
+        let stage = settings.stage(LiveStage::new(gpu, scene.clone(), settings.governor(None))?);
+        Ok(Graphics { device, queue, stage })
     };
     let camera: Camera = settings.camera;
     let report = headless::run(frames, &settings.headless(), files, &mut open, &mut |_| camera)?;

@@ -1,14 +1,15 @@
 //! The renderer on a device that is really lost. They need a Vulkan adapter and fail without one.
 
 use glam::{Quat, Vec2, Vec3};
+use mr360_protocol::light::LightFrame;
 use mr360_protocol::scene::{Geometry, Material, Object, ObjectId, Scene, SceneMessage, Shape, Transform};
 
 use super::live_stage::SharedScene;
 use super::*;
-use crate::frame_loop::{FrameError, Stage, Target};
+use crate::frame_loop::{Drawn, FrameError, Stage, Target};
+use crate::governor::{Governor, Tier};
 use crate::headless::tests::{endless_frame_loop, png};
 use crate::headless::{Files, HeadlessOptions, Pace};
-use crate::stats::PassTime;
 use crate::sync::Paired;
 
 /// Where in a frame the device is destroyed.
@@ -48,7 +49,11 @@ impl Stage for Doomed {
         self.stage.update(paired)
     }
 
-    fn draw(&mut self, camera: &Camera, target: &Target) -> Result<Vec<PassTime>, FrameError> {
+    fn relight(&mut self, light: &LightFrame) -> bool {
+        self.stage.relight(light)
+    }
+
+    fn draw(&mut self, camera: &Camera, target: &Target) -> Result<Drawn, FrameError> {
         self.reached(Step::Draw);
         self.stage.draw(camera, target)
     }
@@ -93,7 +98,11 @@ fn watch(frames: u64, ends: Option<(Step, u32)>) -> ([u8; 4], u32) {
         opened += 1;
         let gpu = Gpu::headless()?;
         let (device, queue) = (gpu.device.clone(), gpu.queue.clone());
-        let stage = Doomed { stage: LiveStage::new(gpu, scene.clone())?, device: device.clone(), ends: ends.filter(|_| opened == 1) };
+        let stage = Doomed {
+            stage: LiveStage::new(gpu, scene.clone(), Governor::fixed(Tier::FULL))?,
+            device: device.clone(),
+            ends: ends.filter(|_| opened == 1),
+        };
         Ok(Graphics { device, queue, stage })
     };
     let report = headless::run(&mut frame_loop, &options, files, &mut open, &mut |_| Camera::looking(0.0, 0.0, 1.0)).unwrap();

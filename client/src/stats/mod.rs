@@ -10,13 +10,16 @@ use mr360_protocol::clock::ClientTime;
 use mr360_protocol::stages::StageTimes;
 
 use crate::decode::DecodeCounters;
+use crate::frame_loop::Drawn;
+use crate::governor::Tier;
 use crate::sync::Drops;
 
 /// Most tracks told apart; their names come from the catalog.
 const MAX_NAMES: usize = 64;
 /// Columns before those of the passes.
 const COLUMNS: &str = "frame,pts_us,arrived_us,decoded_us,light_pts_us,light_arrived_us,paired_us,uploaded_us,rendered_us,presented_us,network_us,light_age_us,video_age_us,\
-playout_delay_us,dropped_superseded,dropped_no_light,dropped_late,dropped_overflow,light_late,decode_errors,decode_backlog,decode_superseded";
+playout_delay_us,dropped_superseded,dropped_no_light,dropped_late,dropped_overflow,light_late,decode_errors,decode_backlog,decode_superseded,light_weight,\
+tier,shadow_lights,reflections_every,occlusion,samples";
 
 /// GPU time of one pass.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -42,6 +45,8 @@ pub struct FrameTimes {
     pub decoded: ClientTime,
     /// Its light, if it has one.
     pub light: Option<LightTimes>,
+    /// How far the light in force is on its way to the next picture's, in [0, 1); 0 under the picture's own.
+    pub light_weight: f32,
     /// When both were handed to the renderer.
     pub paired: ClientTime,
     /// When the upload was submitted.
@@ -94,6 +99,9 @@ pub struct Stats {
     tracks: BTreeMap<String, (u64, u64)>,
     frames: u64,
     pictures: u64,
+    blended: u64,
+    /// Frames by tier.
+    tiers: [u64; Tier::COUNT],
     skipped: u64,
     drops: Drops,
     decode: [u64; 6],
@@ -149,8 +157,10 @@ impl Stats {
     }
 
     /// Takes in a presented frame. A file that cannot be written to is given up with one line in the log.
-    pub fn presented(&mut self, times: &FrameTimes, passes: &[PassTime]) {
+    pub fn presented(&mut self, times: &FrameTimes, drawn: &Drawn) {
         self.frames += 1;
+        self.tiers[usize::from(drawn.tier.number())] += 1;
+        self.blended += u64::from(times.light_weight > 0.0);
         let mut stage = |name, from: ClientTime, to: ClientTime| {
             self.stages.record(name, to.0.saturating_sub(from.0));
         };
@@ -167,20 +177,20 @@ impl Stats {
         }
         stage("view (begun → submitted)", times.begun, times.rendered);
         stage("present (submitted → presented)", times.rendered, times.presented);
-        for pass in passes.iter().filter(|pass| pass.gpu_ms.is_finite() && pass.gpu_ms >= 0.0) {
+        for pass in drawn.passes.iter().filter(|pass| pass.gpu_ms.is_finite() && pass.gpu_ms >= 0.0) {
             let at = self.gpu_stages.iter().position(|(name, _)| *name == pass.name).unwrap_or_else(|| {
                 self.gpu_stages.push((pass.name, format!("gpu {}", pass.name)));
                 self.gpu_stages.len() - 1
             });
             self.stages.record(&self.gpu_stages[at].1, (f64::from(pass.gpu_ms) * 1_000.0) as u64);
         }
-        self.write_row(times, passes);
+        self.write_row(times, drawn);
     }
 
-    fn write_row(&mut self, times: &FrameTimes, passes: &[PassTime]) {
+    fn write_row(&mut self, times: &FrameTimes, drawn: &Drawn) {
         let (drops, decode) = (self.drops, self.decode);
         let Some(csv) = self.csv.as_mut() else { return };
-        if let Err(fault) = csv.write(times, passes, drops, decode) {
+        if let Err(fault) = csv.write(times, drawn, drops, decode) {
             tracing::error!("{}; going on without", StatsError { path: csv.path.clone(), fault });
             self.csv = None;
         }
@@ -199,7 +209,7 @@ impl Stats {
 }
 
 impl Csv {
-    fn write(&mut self, times: &FrameTimes, passes: &[PassTime], drops: Drops, decode: [u64; 6]) -> std::io::Result<()> {
+    fn write(&mut self, times: &FrameTimes, drawn: &Drawn, drops: Drops, decode: [u64; 6]) -> std::io::Result<()> {
         if !self.header_written {
             write!(self.file, "{COLUMNS}")?;
             for pass in self.passes {
@@ -213,7 +223,7 @@ impl Csv {
         let [_, _, errors, _, backlog, superseded] = decode;
         write!(
             self.file,
-            "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{errors},{backlog},{superseded}",
+            "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{errors},{backlog},{superseded},{},{},{},{},{},{}",
             times.frame,
             times.pts_us,
             times.arrived.0,
@@ -233,9 +243,15 @@ impl Csv {
             drops.late,
             drops.overflow,
             drops.light_late,
+            times.light_weight,
+            drawn.tier.number(),
+            drawn.plan.shadows,
+            drawn.plan.reflections_every,
+            u8::from(drawn.plan.occlusion),
+            drawn.plan.samples,
         )?;
         for column in self.passes {
-            match passes.iter().find(|pass| pass.name == *column) {
+            match drawn.passes.iter().find(|pass| pass.name == *column) {
                 Some(pass) => write!(self.file, ",{:.3}", pass.gpu_ms)?,
                 None => write!(self.file, ",")?,
             }
@@ -273,7 +289,16 @@ impl Summary {
 impl fmt::Display for Summary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let stats = &self.0;
-        writeln!(f, "{} frames presented, {} pictures", stats.frames, stats.pictures)?;
+        writeln!(
+            f,
+            "{} frames presented, {} pictures, {} frames under light between two pictures'",
+            stats.frames, stats.pictures, stats.blended
+        )?;
+        if stats.frames > stats.tiers[0] {
+            let tiers = stats.tiers.iter().enumerate().filter(|(_, frames)| **frames > 0);
+            let tiers: Vec<_> = tiers.map(|(tier, frames)| format!("{tier}: {frames}")).collect();
+            writeln!(f, "frames by tier: {}", tiers.join(", "))?;
+        }
         write!(f, "{}", stats.stages)?;
         let Drops { superseded, no_light, late, duplicate, overflow, light_late, light_unused } = stats.drops;
         writeln!(
@@ -297,6 +322,7 @@ impl fmt::Display for Summary {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::view::Plan;
 
     fn times(frame: u64) -> FrameTimes {
         let at = |us| ClientTime(frame * 33_000 + us);
@@ -306,6 +332,7 @@ mod tests {
             new_picture: true,
             arrived: at(0),
             decoded: at(4_000),
+            light_weight: if frame == 2 { 0.25 } else { 0.0 },
             light: (frame != 1).then_some(LightTimes { pts_us: frame * 33_000, published: at(5_000), arrived: at(6_000) }),
             paired: at(24_000),
             uploaded: at(25_000),
@@ -323,7 +350,9 @@ mod tests {
         let mut stats = Stats::open(Some(&path), &["shadow", "view"]).unwrap();
         for frame in 0..3 {
             let passes = [PassTime { name: "shadow", gpu_ms: 1.5 }, PassTime { name: "view", gpu_ms: 2.25 }];
-            stats.presented(&times(frame), if frame == 2 { &passes[1..] } else { &passes });
+            let plan = Plan { shadows: 2, reflections_every: 4, samples: 1, ..Plan::default() };
+            let passes = if frame == 2 { &passes[1..] } else { &passes[..] };
+            stats.presented(&times(frame), &Drawn { passes: passes.to_vec(), tier: Tier::new(frame as u8).unwrap(), plan });
         }
         stats.received("video", 1_000);
         stats.received("video", 500);
@@ -332,13 +361,21 @@ mod tests {
         let text = std::fs::read_to_string(&path).unwrap();
         let lines: Vec<_> = text.lines().collect();
         assert_eq!(lines.len(), 4);
-        assert!(lines[0].ends_with("decode_backlog,decode_superseded,gpu_shadow_ms,gpu_view_ms"));
+        assert!(lines[0].ends_with(
+            "decode_backlog,decode_superseded,light_weight,tier,shadow_lights,reflections_every,occlusion,samples,gpu_shadow_ms,gpu_view_ms"
+        ));
         assert!(lines.iter().all(|line| line.split(',').count() == lines[0].split(',').count()));
-        assert_eq!(lines[1], "0,0,0,4000,0,6000,24000,25000,27000,30000,1000,25000,30000,20000,0,0,0,0,0,0,0,0,1.500,2.250");
+        assert_eq!(lines[1], "0,0,0,4000,0,6000,24000,25000,27000,30000,1000,25000,30000,20000,0,0,0,0,0,0,0,0,0,0,2,4,0,1,1.500,2.250");
         assert!(lines[2].starts_with("1,33000,33000,37000,,,57000,"));
-        assert!(lines[3].ends_with(",,2.250"));
+        assert!(lines[3].ends_with(",0.25,2,2,4,0,1,,2.250"));
         let printed = summary.to_string();
-        assert!(printed.contains("7 without light") && printed.contains("track video: 2 frames, 1500 bytes"), "{printed}");
+        assert!(
+            printed.contains("frames by tier: 0: 1, 1: 1, 2: 1")
+                && printed.contains("1 frames under light between")
+                && printed.contains("7 without light")
+                && printed.contains("track video: 2 frames, 1500 bytes"),
+            "{printed}"
+        );
         assert_eq!((summary.frames(), summary.pictures()), (3, 3));
     }
 
@@ -346,7 +383,7 @@ mod tests {
     fn a_full_disk_ends_the_file_and_nothing_else() {
         let mut stats = Stats::open(Some(Path::new("/dev/full")), &[]).unwrap();
         for frame in 0..1_000 {
-            stats.presented(&times(frame), &[]);
+            stats.presented(&times(frame), &Drawn::default());
         }
         assert_eq!(stats.finish().unwrap().frames(), 1_000);
         let error = Stats::open(Some(Path::new("/nowhere/stats.csv")), &[]).err().unwrap();

@@ -34,6 +34,11 @@ impl Lights {
         self.0.remove(&pts_us)
     }
 
+    /// The first one later than this.
+    pub(super) fn next_after(&self, pts_us: u64) -> Option<&ReceivedLight> {
+        Some(self.0.range(pts_us.checked_add(1)?..).next()?.1)
+    }
+
     /// Removes what no picture can ask for any more and returns how many that were.
     pub(super) fn forget_up_to(&mut self, pts_us: u64) -> u64 {
         let Some(after) = pts_us.checked_add(1) else { return std::mem::take(&mut self.0).len() as u64 };

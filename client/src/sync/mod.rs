@@ -4,6 +4,7 @@
 //! hands out the newest pair that is due, and [`Playout::next_deadline`] says when to ask again.
 
 mod baseline;
+mod blend;
 mod clock;
 mod delay;
 mod lights;
@@ -15,6 +16,7 @@ use std::collections::VecDeque;
 use mr360_protocol::clock::ClientTime;
 use mr360_protocol::light::LightFrame;
 
+pub use self::blend::LightBlend;
 pub use self::clock::ClientClock;
 pub use self::delay::{MAX_DELAY_US, MIN_DELAY_US};
 pub use self::lights::MAX_LIGHTS;
@@ -197,6 +199,12 @@ impl Playout {
         self.last_shown_us = Some(picture.pts_us);
         self.drop_expired(now);
         Some(Paired { picture, light, arrived, decoded, paired: now })
+    }
+
+    /// The light of the next picture after the one handed out last, if it is here; the picture may yet come, or not.
+    #[must_use]
+    pub fn upcoming_light(&self) -> Option<&ReceivedLight> {
+        self.lights.next_after(self.last_shown_us?)
     }
 
     /// When [`Playout::poll`] next has something to do, or `None` while nothing waits. A new arrival may bring it forward.

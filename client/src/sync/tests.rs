@@ -173,6 +173,27 @@ fn the_audio_offset_is_where_pictures_are_shown() {
 }
 
 #[test]
+fn the_light_after_the_picture_on_screen_is_known_as_soon_as_it_is_here() {
+    let mut playout = Playout::new();
+    let upcoming = |playout: &Playout| playout.upcoming_light().map(|received| received.light.pts_us);
+    playout.push_light(light(FRAME_US, START_US));
+    assert_eq!(upcoming(&playout), None, "nothing is on screen yet");
+    playout.push_picture(decoded(0, START_US), ClientTime(START_US));
+    playout.push_light(light(0, START_US));
+    assert!(playout.poll(ClientTime(START_US + 50_000)).is_some());
+    assert_eq!(upcoming(&playout), Some(FRAME_US));
+    playout.push_picture(decoded(FRAME_US, START_US), ClientTime(START_US));
+    assert!(playout.poll(ClientTime(START_US + 90_000)).is_some());
+    assert_eq!(upcoming(&playout), None, "its own light is no other picture's");
+    // One that has to wait for another picture first does not come before it.
+    playout.push_light(light(3 * FRAME_US, START_US));
+    playout.push_light(light(2 * FRAME_US, START_US));
+    assert_eq!(upcoming(&playout), Some(2 * FRAME_US));
+    playout.reset();
+    assert_eq!(upcoming(&playout), None);
+}
+
+#[test]
 fn a_burst_at_joining_does_not_lengthen_the_delay() {
     let mut playout = Playout::new();
     // The first 30 frames come at once, as a late joiner gets them, and take 10 ms each to decode.

@@ -12,8 +12,11 @@ pub mod plan;
 #[cfg(test)]
 mod probe_tests;
 #[cfg(test)]
+mod rate_tests;
+#[cfg(test)]
 mod reflection_tests;
 mod resources;
+mod room;
 pub mod shadows;
 mod stage;
 #[cfg(test)]
@@ -28,6 +31,7 @@ use mr360_shaders::layout;
 
 use crate::camera::Camera;
 use crate::environment::{Environment, FrameLight};
+use crate::governor::Tier;
 use crate::gpu::{Gpu, GpuError};
 use crate::scene::model::LoadedModel;
 use crate::scene::pick::{Ray, nearest};
@@ -41,12 +45,31 @@ use models::Models;
 use pipelines::{Kind, Layouts, Pipelines, Use};
 use plan::SceneNeeds;
 use resources::{Layer, Resources, VIEW_STRIDE};
+use room::Room;
 use shadows::Frustum;
 use stage::Stage;
 use timing::PassTimer;
 
-/// Passes that a frame may have, in order.
-pub const PASSES: [&str; 7] = ["shadow 1", "shadow 2", "shadow 3", "shadow 4", "reflections", "objects", "composite"];
+/// Passes that a frame may have.
+pub const PASSES: [&str; 13] = [
+    "shadow 1",
+    "shadow 2",
+    "shadow 3",
+    "shadow 4",
+    "reflections",
+    OBJECTS[0],
+    COMPOSITE[0],
+    OBJECTS[1],
+    COMPOSITE[1],
+    OBJECTS[2],
+    COMPOSITE[2],
+    OBJECTS[3],
+    COMPOSITE[3],
+];
+/// Of each view.
+const OBJECTS: [&str; MAX_VIEWS] = ["objects", "objects view 2", "objects view 3", "objects view 4"];
+/// Of each view.
+const COMPOSITE: [&str; MAX_VIEWS] = ["composite", "composite view 2", "composite view 3", "composite view 4"];
 
 /// Most views of one frame.
 pub const MAX_VIEWS: usize = 4;
@@ -81,10 +104,21 @@ pub struct Renderer {
     resources: Resources,
     models: Models,
     stage: Stage,
+    /// Of the picture.
     light: FrameLight,
     light_changed: bool,
+    /// In force: the picture's, or on its way to that of the next one.
+    current: FrameLight,
     visible: bool,
-    layers: Vec<Layer>,
+    /// By view.
+    layers: Vec<(Room, Layer)>,
+    tier: Tier,
+    /// Samples a pixel of the layers.
+    samples: u32,
+    /// Pictures since reflections were made.
+    unreflected: u32,
+    /// What each shadow map holds; `None` where it shows another scene.
+    shadows: [Option<Frustum>; plan::MAX_SHADOWS],
     timer: PassTimer,
 }
 
@@ -100,8 +134,23 @@ impl Renderer {
         let resources = Resources::new(&gpu.device, &layouts);
         let models = Models::new(gpu, &layouts.material);
         let timer = PassTimer::new(gpu);
-        let (stage, light) = (Stage::default(), FrameLight::default());
-        Ok(Self { layouts, pipelines, resources, models, stage, light, light_changed: true, visible: true, layers: Vec::new(), timer })
+        Ok(Self {
+            layouts,
+            pipelines,
+            resources,
+            models,
+            stage: Stage::default(),
+            light: FrameLight::default(),
+            light_changed: true,
+            current: FrameLight::default(),
+            visible: true,
+            layers: Vec::new(),
+            tier: Tier::FULL,
+            samples: 0,
+            unreflected: u32::MAX,
+            shadows: [None; plan::MAX_SHADOWS],
+            timer,
+        })
     }
 
     /// Shows this scene from the next frame on. Geometry stays on the GPU while some object shows it. `model` gives
@@ -112,6 +161,7 @@ impl Renderer {
         let (stage, warnings) = Stage::new(scene, &self.models);
         self.resources.write_scene(gpu, &self.layouts, &stage);
         self.stage = stage;
+        self.shadows = [None; plan::MAX_SHADOWS];
         warnings
     }
 
@@ -124,6 +174,37 @@ impl Renderer {
     pub fn set_light(&mut self, light: &LightFrame) {
         self.light = FrameLight::from(light);
         self.light_changed = true;
+        self.current = self.light.clone();
+    }
+
+    /// Lights objects by this until the next light is set: one between that of the picture and the next one's. Reflections show the
+    /// picture, and stay as they are.
+    pub fn relight(&mut self, light: &LightFrame) {
+        self.current = FrameLight { lift: self.light.lift, ..FrameLight::from(light) };
+    }
+
+    /// The light in force.
+    #[must_use]
+    pub fn current_light(&self) -> &FrameLight {
+        &self.current
+    }
+
+    /// True when the scene has something that light falls on.
+    #[must_use]
+    pub fn has_objects(&self) -> bool {
+        self.stage.needs.objects > 0
+    }
+
+    /// Leaves out what this tier leaves out, from the next frame on.
+    pub fn set_tier(&mut self, tier: Tier) {
+        self.tier = tier;
+    }
+
+    /// What a frame does in a tier, with this scene under this light.
+    #[must_use]
+    pub fn plan(&self, tier: Tier) -> Plan {
+        let needs = if self.visible { self.stage.needs } else { SceneNeeds::default() };
+        Plan::new(needs, &self.current).within(tier)
     }
 
     /// The nearest object along a ray and where it is met.
@@ -142,29 +223,34 @@ impl Renderer {
     ) -> FrameReport {
         self.timer.collect(gpu);
         let views = views.get(..MAX_VIEWS).unwrap_or(views);
-        let needs = if self.visible { self.stage.needs } else { SceneNeeds::default() };
-        let plan = Plan::new(needs, &self.light);
+        let plan = self.plan(self.tier);
         if std::mem::take(&mut self.light_changed) {
             environment.set_light(gpu, &self.light);
+            self.unreflected = self.unreflected.saturating_add(1);
         }
-        if plan.reflections {
+        if plan.reflections && (plan.reflections_every == 1 || self.unreflected >= plan.reflections_every) {
+            self.unreflected = 0;
             environment.refresh_reflections(gpu, encoder, &self.light, &mut self.timer);
         }
         let frusta: Vec<Frustum> =
-            self.light.lights.iter().take(plan.shadows).map(|light| self.resources.frustum(light, &self.stage)).collect();
-        self.resources.write_frame(gpu, &self.stage, &self.light, &frusta);
+            self.current.lights.iter().take(plan.shadows).map(|light| self.resources.frustum(light, &self.stage)).collect();
+        self.resources.write_frame(gpu, &self.stage, (&self.current, &self.light), &frusta, plan.occlusion);
         let mut report = FrameReport { plan, ..FrameReport::default() };
-        self.draw_shadows(encoder, frusta.len(), &mut report);
-        let kind = Kind { video: environment.kind(), sh_count: self.light.sh_count };
+        self.draw_shadows(encoder, &frusta, &mut report);
+        let kind = Kind { video: environment.kind(), sh_count: self.current.sh_count, samples: plan.samples };
         self.prepare(gpu, kind, plan);
-        let ground = self.stage.changed_ground(&self.light, frusta.len());
+        if plan.objects && self.samples != plan.samples {
+            self.samples = plan.samples;
+            self.layers.clear();
+        }
+        let ground = self.stage.changed_ground(&self.current, frusta.len());
         for (at, view) in views.iter().enumerate() {
             // From beneath there is no ground to see.
             let ground = ground.filter(|_| view.camera.position.y > self.stage.ground_y);
             let part = if plan.objects { touched(&view.camera, view.size, &self.stage, ground) } else { None };
             self.resources.write_view(gpu, at, view, part.unwrap_or_default());
             if let Some(part) = part {
-                self.make_layer(gpu, at, part);
+                self.make_layer(gpu, at, part, view.size);
                 self.draw_layer(encoder, environment, kind, (at, view, part), ground.is_some(), &mut report);
             }
             self.composite(encoder, environment, kind, (at, view), part.is_some(), &mut report);
@@ -184,26 +270,29 @@ impl Renderer {
     }
 
     /// The layer's targets, kept while they hold the part and are not far too large for it.
-    fn make_layer(&mut self, gpu: &Gpu, at: usize, part: Part) {
-        let fits = |layer: &Layer| {
-            let ((width, height), (wide, high)) = (part.size, layer.size);
-            wide >= width && high >= height && u64::from(wide) * u64::from(high) <= 2 * u64::from(width) * u64::from(height)
-        };
-        if let Some(layer) = self.layers.get_mut(at) {
-            if !fits(layer) {
-                *layer = Layer::new(&gpu.device, &self.layouts.layer, part.size);
-            }
-        } else {
-            // Views before this one may have had nothing to draw.
-            while self.layers.len() <= at {
-                self.layers.push(Layer::new(&gpu.device, &self.layouts.layer, part.size));
-            }
+    fn make_layer(&mut self, gpu: &Gpu, at: usize, part: Part, image: (u32, u32)) {
+        let make = |room: &Room| Layer::new(&gpu.device, &self.layouts.layer, room.size(), self.samples);
+        // Views before this one may have had nothing to draw.
+        while self.layers.len() <= at {
+            let mut room = Room::default();
+            room.make(part.size, image);
+            self.layers.push((room, make(&room)));
+        }
+        if let Some((room, layer)) = self.layers.get_mut(at)
+            && room.make(part.size, image)
+        {
+            *layer = make(room);
         }
     }
 
-    fn draw_shadows(&mut self, encoder: &mut wgpu::CommandEncoder, count: usize, report: &mut FrameReport) {
+    /// Draws the maps that do not show the scene as their light sees it now.
+    fn draw_shadows(&mut self, encoder: &mut wgpu::CommandEncoder, frusta: &[Frustum], report: &mut FrameReport) {
         const NAMES: [&str; plan::MAX_SHADOWS] = ["shadow 1", "shadow 2", "shadow 3", "shadow 4"];
-        for (at, (layer, name)) in self.resources.shadow_layers.iter().zip(NAMES).take(count).enumerate() {
+        let maps = self.resources.shadow_layers.iter().zip(&mut self.shadows).zip(NAMES);
+        for (at, (((layer, held), name), frustum)) in maps.zip(frusta).enumerate() {
+            if held.replace(*frustum) == Some(*frustum) {
+                continue;
+            }
             let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
                 label: Some(name),
                 depth_stencil_attachment: Some(depth_attachment(layer, 1.0, wgpu::StoreOp::Store)),
@@ -234,18 +323,21 @@ impl Renderer {
         ground: bool,
         report: &mut FrameReport,
     ) {
-        const NAMES: [&str; MAX_VIEWS] = ["objects", "objects, view 2", "objects, view 3", "objects, view 4"];
-        let Some(layer) = self.layers.get(at) else { return };
+        let Some((_, layer)) = self.layers.get(at) else { return };
+        let (target, resolve_target, store) = match &layer.samples {
+            Some(samples) => (samples, Some(&layer.resolved), wgpu::StoreOp::Discard),
+            None => (&layer.resolved, None, wgpu::StoreOp::Store),
+        };
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-            label: Some(NAMES[at]),
+            label: Some(OBJECTS[at]),
             color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-                view: &layer.samples,
+                view: target,
                 depth_slice: None,
-                resolve_target: Some(&layer.resolved),
-                ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT), store: wgpu::StoreOp::Discard },
+                resolve_target,
+                ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT), store },
             })],
             depth_stencil_attachment: Some(depth_attachment(&layer.depth, 0.0, wgpu::StoreOp::Discard)),
-            timestamp_writes: self.timer.pass(NAMES[at]),
+            timestamp_writes: self.timer.pass(OBJECTS[at]),
             ..wgpu::RenderPassDescriptor::default()
         });
         // The layer is a window into the image.
@@ -286,19 +378,18 @@ impl Renderer {
         drawn: bool,
         report: &mut FrameReport,
     ) {
-        const NAMES: [&str; MAX_VIEWS] = ["composite", "composite, view 2", "composite, view 3", "composite, view 4"];
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-            label: Some(NAMES[at]),
+            label: Some(COMPOSITE[at]),
             color_attachments: &[Some(wgpu::RenderPassColorAttachment {
                 view: view.target,
                 depth_slice: None,
                 resolve_target: None,
                 ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::BLACK), store: wgpu::StoreOp::Store },
             })],
-            timestamp_writes: self.timer.pass(NAMES[at]),
+            timestamp_writes: self.timer.pass(COMPOSITE[at]),
             ..wgpu::RenderPassDescriptor::default()
         });
-        let layer = self.layers.get(at).filter(|_| drawn).map_or(&self.resources.no_layer, |layer| &layer.group);
+        let layer = self.layers.get(at).filter(|_| drawn).map_or(&self.resources.no_layer, |(_, layer)| &layer.group);
         let Some(pipeline) = self.pipelines.get(kind, Use::Composite) else { return };
         pass.set_pipeline(pipeline);
         pass.set_bind_group(0, &self.resources.frame, &[at as u32 * VIEW_STRIDE]);

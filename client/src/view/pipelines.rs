@@ -13,8 +13,6 @@ use crate::gpu::{Gpu, GpuError};
 pub(super) const LAYER_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
 /// Reversed: 1 near, 0 at infinity.
 pub(super) const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
-/// Samples a pixel of objects and ground.
-pub(super) const SAMPLES: u32 = 4;
 
 pub(super) struct Layouts {
     /// Group 0 of what is drawn in the layer.
@@ -45,6 +43,8 @@ pub(super) struct Kind {
     pub(super) video: VideoKind,
     /// 9 or 25.
     pub(super) sh_count: usize,
+    /// A pixel of objects and ground.
+    pub(super) samples: u32,
 }
 
 /// What a pipeline draws.
@@ -164,6 +164,11 @@ fn depth(compare: wgpu::CompareFunction, bias: wgpu::DepthBiasState) -> wgpu::De
     }
 }
 
+/// The composite does not draw to what has samples.
+fn key(kind: Kind, what: Use) -> (Kind, Use) {
+    (if what == Use::Composite { Kind { samples: 1, ..kind } } else { kind }, what)
+}
+
 impl Pipelines {
     pub(super) fn new(gpu: &Gpu, layouts: &Layouts, target: wgpu::TextureFormat) -> Result<Self, GpuError> {
         let casters = Recipe {
@@ -189,14 +194,14 @@ impl Pipelines {
 
     /// Makes a pipeline unless it is there.
     pub(super) fn prepare(&mut self, gpu: &Gpu, layouts: &Layouts, kind: Kind, what: Use) {
-        if !self.made.contains_key(&(kind, what)) {
-            self.made.insert((kind, what), self.make(gpu, layouts, kind, what));
+        if !self.made.contains_key(&key(kind, what)) {
+            self.made.insert(key(kind, what), self.make(gpu, layouts, kind, what));
         }
     }
 
     /// A pipeline that was prepared.
     pub(super) fn get(&self, kind: Kind, what: Use) -> Option<&wgpu::RenderPipeline> {
-        self.made.get(&(kind, what))
+        self.made.get(&key(kind, what))
     }
 
     fn make(&self, gpu: &Gpu, layouts: &Layouts, kind: Kind, what: Use) -> wgpu::RenderPipeline {
@@ -214,7 +219,7 @@ impl Pipelines {
             mesh: false,
             cull: Some(wgpu::Face::Back),
             depth: Some(depth(wgpu::CompareFunction::Greater, behind)),
-            samples: SAMPLES,
+            samples: kind.samples,
             constants: &[],
         };
         match what {

@@ -4,13 +4,14 @@ use mr360_shaders::colour::luminance;
 use mr360_shaders::source::ROUGH_TO;
 
 use crate::environment::FrameLight;
+use crate::governor::Tier;
 
 /// Most lights that cast shadows.
 pub const MAX_SHADOWS: usize = 4;
 /// A light casts shadows from this share of the frame's whole irradiance on.
 const SHADOW_SHARE: f32 = 0.02;
 
-/// The passes of one frame.
+/// The passes of one frame, and how well they do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Plan {
     /// Anything is drawn over the video.
@@ -21,6 +22,12 @@ pub struct Plan {
     pub shadows: usize,
     /// Something reaches beneath the ground and has to be hidden there.
     pub ground_hides: bool,
+    /// Reflections follow every so manieth picture.
+    pub reflections_every: u32,
+    /// Objects shade each other and the ground from the sky.
+    pub occlusion: bool,
+    /// Samples a pixel of what is drawn over the video.
+    pub samples: u32,
 }
 
 /// What the plan asks of the scene.
@@ -45,7 +52,21 @@ impl Plan {
         let shares: Vec<f32> = light.lights.iter().map(|light| luminance(light.irradiance).max(0.0)).collect();
         let total = ambient + shares.iter().sum::<f32>();
         let shadows = shares.iter().take(MAX_SHADOWS).take_while(|share| **share > 0.0 && **share >= SHADOW_SHARE * total).count();
-        Self { objects: true, reflections: scene.reflective, shadows, ground_hides: scene.beneath_ground }
+        let all = Self { objects: true, reflections: scene.reflective, shadows, ground_hides: scene.beneath_ground, ..Self::default() };
+        all.within(Tier::FULL)
+    }
+
+    /// Leaves out what a tier leaves out.
+    #[must_use]
+    pub fn within(self, tier: Tier) -> Self {
+        let limits = tier.limits();
+        Self {
+            shadows: self.shadows.min(limits.shadows),
+            reflections_every: if self.reflections { limits.reflections_every } else { 0 },
+            occlusion: self.objects && limits.occlusion,
+            samples: if self.objects { limits.samples } else { 0 },
+            ..self
+        }
     }
 }
 
@@ -77,10 +98,24 @@ mod tests {
     #[test]
     fn an_overcast_sky_on_diffuse_objects_runs_nothing_extra() {
         let needs = SceneNeeds { objects: 3, ..SceneNeeds::default() };
-        assert_eq!(Plan::new(needs, &light(&[])), Plan { objects: true, ..Plan::default() });
+        let plain = Plan { objects: true, occlusion: true, samples: 4, ..Plan::default() };
+        assert_eq!(Plan::new(needs, &light(&[])), plain);
         let mirror = SceneNeeds { reflective: true, ..needs };
-        assert_eq!(Plan::new(mirror, &light(&[])), Plan { objects: true, reflections: true, ..Plan::default() });
+        assert_eq!(Plan::new(mirror, &light(&[])), Plan { reflections: true, reflections_every: 1, ..plain });
         assert_eq!(Plan::new(SceneNeeds::default(), &light(&[5.0])), Plan::default());
+    }
+
+    #[test]
+    fn a_tier_bounds_and_never_adds() {
+        let needs = SceneNeeds { objects: 1, reflective: true, ..SceneNeeds::default() };
+        let all = Plan::new(needs, &light(&[1.0; 6]));
+        let lowest = all.within(Tier::LOWEST);
+        assert_eq!(
+            (lowest.shadows, lowest.reflections, lowest.reflections_every, lowest.occlusion, lowest.samples),
+            (1, true, 4, false, 1)
+        );
+        assert_eq!(Plan::new(SceneNeeds::default(), &light(&[5.0])).within(Tier::LOWEST), Plan::default());
+        assert_eq!(Plan::new(SceneNeeds { reflective: false, ..needs }, &light(&[])).within(Tier::LOWEST).shadows, 0);
     }
 
     #[test]

@@ -7,7 +7,7 @@ use mr360_shaders::layout::{self, MAX_OCCLUDERS, SHADOW_MAP_SIZE};
 use mr360_shaders::sh;
 
 use super::extent::Part;
-use super::pipelines::{DEPTH_FORMAT, LAYER_FORMAT, Layouts, SAMPLES};
+use super::pipelines::{DEPTH_FORMAT, LAYER_FORMAT, Layouts};
 use super::plan::MAX_SHADOWS;
 use super::shadows::{Frustum, LONGEST_SHADOW_M, fit};
 use super::stage::Stage;
@@ -23,6 +23,8 @@ pub(super) const VIEW_STRIDE: u32 = 256;
 pub(super) struct Resources {
     views: wgpu::Buffer,
     lighting: wgpu::Buffer,
+    /// What `lighting` holds, and with it `casters`: a light's frustum is in it.
+    written: layout::Lighting,
     instances: wgpu::Buffer,
     occluders: wgpu::Buffer,
     casters: wgpu::Buffer,
@@ -98,6 +100,7 @@ impl Resources {
         Self {
             views,
             lighting,
+            written: layout::Lighting::zeroed(),
             instances,
             occluders,
             casters,
@@ -131,13 +134,29 @@ impl Resources {
         fit(light.direction, &stage.casters, tan_radius(light.solid_angle_sr) * fall)
     }
 
-    /// Writes what changes with the light: lighting, and the casters' views.
-    pub(super) fn write_frame(&self, gpu: &Gpu, stage: &Stage, light: &FrameLight, frusta: &[Frustum]) {
+    /// Writes what changes with the light, if it has: lighting, and the casters' views. The second light is that of the picture, from which
+    /// reflections are made.
+    pub(super) fn write_frame(
+        &mut self,
+        gpu: &Gpu,
+        stage: &Stage,
+        lights: (&FrameLight, &FrameLight),
+        frusta: &[Frustum],
+        occlusion: bool,
+    ) {
+        let mut lighting = lighting(stage, lights, frusta);
+        if !occlusion {
+            lighting.occluder_count = 0;
+        }
+        if bytemuck::bytes_of(&lighting) == bytemuck::bytes_of(&self.written) {
+            return;
+        }
         for (at, frustum) in frusta.iter().enumerate() {
             let caster = layout::Caster { clip_from_world: frustum.clip_from_world.to_cols_array_2d() };
             gpu.queue.write_buffer(&self.casters, at as u64 * u64::from(VIEW_STRIDE), bytemuck::bytes_of(&caster));
         }
-        gpu.queue.write_buffer(&self.lighting, 0, bytemuck::bytes_of(&lighting(stage, light, frusta)));
+        gpu.queue.write_buffer(&self.lighting, 0, bytemuck::bytes_of(&lighting));
+        self.written = lighting;
     }
 
     pub(super) fn write_view(&self, gpu: &Gpu, at: usize, view: &View<'_>, layer: Part) {
@@ -145,7 +164,10 @@ impl Resources {
     }
 }
 
-fn lighting(stage: &Stage, light: &FrameLight, frusta: &[Frustum]) -> layout::Lighting {
+/// Lights that are not in the picture's light are not cut out of its reflections, and must not come back as highlights.
+fn lighting(stage: &Stage, (light, picture): (&FrameLight, &FrameLight), frusta: &[Frustum]) -> layout::Lighting {
+    let narrow = |light: &DirectionalLight| cut_radius(light.solid_angle_sr).is_some();
+    let cut = |light: &DirectionalLight| narrow(light) && picture.lights.iter().any(|own| own.id == light.id && narrow(own));
     let ambient = sh::irradiance(&light.sh, Vec3::Y);
     let falling: Vec<Vec3> = light.lights.iter().map(|l| l.irradiance.max(Vec3::ZERO) * l.direction.y.max(0.0)).collect();
     let before = ambient + falling.iter().sum::<Vec3>();
@@ -177,7 +199,7 @@ fn lighting(stage: &Stage, light: &FrameLight, frusta: &[Frustum]) -> layout::Li
             shadow_half_width_m: frustum.map_or(1.0, |f| f.half_width_m),
             shadow_range_m: frustum.map_or(1.0, |f| f.range_m),
             shadow_texel_m: frustum.map_or(1.0, |f| 2.0 * f.half_width_m / SHADOW_MAP_SIZE as f32),
-            cut: f32::from(u8::from(cut_radius(light.solid_angle_sr).is_some())),
+            cut: f32::from(u8::from(cut(light))),
         };
     }
     out
@@ -220,25 +242,23 @@ fn layer_group(device: &wgpu::Device, layout: &wgpu::BindGroupLayout, layer: &wg
 
 /// Targets of one view's objects and ground.
 pub(super) struct Layer {
-    /// At least what was asked for.
-    pub(super) size: (u32, u32),
-    pub(super) samples: wgpu::TextureView,
+    /// Where there are more than one a pixel.
+    pub(super) samples: Option<wgpu::TextureView>,
     pub(super) resolved: wgpu::TextureView,
     pub(super) depth: wgpu::TextureView,
     pub(super) group: wgpu::BindGroup,
 }
 
 impl Layer {
-    pub(super) fn new(device: &wgpu::Device, layout: &wgpu::BindGroupLayout, size: (u32, u32)) -> Self {
+    pub(super) fn new(device: &wgpu::Device, layout: &wgpu::BindGroupLayout, size: (u32, u32), count: u32) -> Self {
         let attachment = wgpu::TextureUsages::RENDER_ATTACHMENT;
         let view = |label, samples, format, usage| {
             texture(device, label, size, 1, samples, format, usage).create_view(&wgpu::TextureViewDescriptor::default())
         };
         let resolved = view("layer", 1, LAYER_FORMAT, attachment | wgpu::TextureUsages::TEXTURE_BINDING);
         Self {
-            size,
-            samples: view("layer samples", SAMPLES, LAYER_FORMAT, attachment),
-            depth: view("layer depth", SAMPLES, DEPTH_FORMAT, attachment),
+            samples: (count > 1).then(|| view("layer samples", count, LAYER_FORMAT, attachment)),
+            depth: view("layer depth", count, DEPTH_FORMAT, attachment),
             group: layer_group(device, layout, &resolved),
             resolved,
         }

@@ -163,9 +163,10 @@ impl Controls {
 
 #[cfg(test)]
 mod tests {
+    use mr360_protocol::light::LightFrame;
+
     use super::*;
-    use crate::frame_loop::{FrameError, Target};
-    use crate::stats::PassTime;
+    use crate::frame_loop::{Drawn, FrameError, Target};
     use crate::sync::Paired;
 
     /// A ground at y = −1.6 and one object in the middle of the lower half of the image.
@@ -180,8 +181,11 @@ mod tests {
         fn update(&mut self, _paired: Paired) -> Result<(), FrameError> {
             Ok(())
         }
-        fn draw(&mut self, _camera: &Camera, _target: &Target) -> Result<Vec<PassTime>, FrameError> {
-            Ok(Vec::new())
+        fn relight(&mut self, _light: &LightFrame) -> bool {
+            false
+        }
+        fn draw(&mut self, _camera: &Camera, _target: &Target) -> Result<Drawn, FrameError> {
+            Ok(Drawn::default())
         }
         fn device_lost(&self) -> Option<String> {
             None

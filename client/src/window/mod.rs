@@ -1,5 +1,5 @@
-//! Presents in a window: drag to look around, wheel to zoom, drag an object to move it, F11 for full screen, R to look ahead again,
-//! Esc to leave.
+//! Presents in a window: drag to look around, wheel to zoom, drag an object to move it, F11 for full screen, F1 for what a frame costs,
+//! R to look ahead again, Esc to leave.
 
 mod controls;
 mod surface;
@@ -226,6 +226,12 @@ impl<S: Stage> App<'_, S> {
         match event.physical_key {
             PhysicalKey::Code(KeyCode::Escape) => self.closed_by_user(event_loop),
             PhysicalKey::Code(KeyCode::KeyR) => self.controls.reset(),
+            PhysicalKey::Code(KeyCode::F1) => {
+                if let Some(shown) = &mut self.shown {
+                    shown.stage.toggle_overlay();
+                    self.frames.redraw();
+                }
+            }
             PhysicalKey::Code(KeyCode::F11) => {
                 if let Some(shown) = &self.shown {
                     let full = shown.window.fullscreen().is_none().then_some(Fullscreen::Borderless(None));

@@ -1,0 +1,238 @@
+//! What a frame costs and does, and where its lights are, over the view's upper left corner.
+
+mod canvas;
+
+use glam::{IVec2, Vec3};
+use mr360_shaders::colour::{luminance, srgb_encode};
+use mr360_shaders::equirect::uv_from_direction;
+use mr360_shaders::source::Module;
+
+use crate::environment::FrameLight;
+use crate::frame_loop::Drawn;
+use crate::gpu::{Gpu, GpuError};
+use canvas::{CELL, Canvas, Colour};
+
+/// Pixels of the overlay's picture.
+const SIZE: IVec2 = IVec2::new(176, 176);
+/// Each is shown as so many pixels of the view, squared, and as far from its corner.
+const SCALE: u32 = 2;
+/// Room around what is drawn.
+const MARGIN: i32 = 4;
+/// The panorama with its lights.
+const MAP: IVec2 = IVec2::new(168, 84);
+
+const PAPER: Colour = [0, 0, 0, 170];
+const INK: Colour = [235, 235, 235, 255];
+const FAINT: Colour = [170, 170, 170, 255];
+const WARNING: Colour = [255, 120, 90, 255];
+
+/// What is told of a frame.
+pub struct Told<'a> {
+    /// What it did, and what the passes of an earlier one took.
+    pub drawn: &'a Drawn,
+    /// What it cost, milliseconds.
+    pub cost_ms: f32,
+    /// What it may cost, milliseconds, where that matters.
+    pub budget_ms: Option<f32>,
+    /// The light in force.
+    pub light: &'a FrameLight,
+    /// Unit vector to the middle of the view.
+    pub looking: Vec3,
+}
+
+/// The overlay on the GPU.
+pub struct Overlay {
+    canvas: Canvas,
+    texture: wgpu::Texture,
+    group: wgpu::BindGroup,
+    pipeline: wgpu::RenderPipeline,
+}
+
+impl Overlay {
+    /// For targets of one format, which encodes sRGB itself.
+    ///
+    /// # Errors
+    /// [`GpuError::Shader`] when the build lacks a shader file.
+    pub fn new(gpu: &Gpu, format: wgpu::TextureFormat) -> Result<Self, GpuError> {
+        let device = &gpu.device;
+        let texture = device.create_texture(&wgpu::TextureDescriptor {
+            label: Some("overlay"),
+            size: extent(),
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format: wgpu::TextureFormat::Rgba8UnormSrgb,
+            usage: wgpu::TextureUsages::COPY_DST | wgpu::TextureUsages::TEXTURE_BINDING,
+            view_formats: &[],
+        });
+        let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
+        let pipeline = pipeline(gpu, &gpu.shader(Module::Overlay)?, format);
+        let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("overlay"),
+            layout: &pipeline.get_bind_group_layout(0),
+            entries: &[wgpu::BindGroupEntry { binding: 0, resource: wgpu::BindingResource::TextureView(&view) }],
+        });
+        Ok(Self { canvas: Canvas::new(SIZE), texture, group, pipeline })
+    }
+
+    /// Records the overlay over what `target`, of `size` pixels, already shows.
+    pub fn draw(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        (target, size): (&wgpu::TextureView, (u32, u32)),
+        told: &Told<'_>,
+    ) {
+        paint(&mut self.canvas, told);
+        let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(4 * SIZE.x as u32), rows_per_image: None };
+        gpu.queue.write_texture(self.texture.as_image_copy(), self.canvas.texels(), layout, extent());
+        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some("overlay"),
+            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                view: target,
+                depth_slice: None,
+                resolve_target: None,
+                ops: wgpu::Operations { load: wgpu::LoadOp::Load, store: wgpu::StoreOp::Store },
+            })],
+            ..wgpu::RenderPassDescriptor::default()
+        });
+        let shown = [SIZE.x, SIZE.y].map(|side| SCALE * side as u32);
+        pass.set_pipeline(&self.pipeline);
+        pass.set_bind_group(0, &self.group, &[]);
+        pass.set_scissor_rect(0, 0, shown[0].min(size.0), shown[1].min(size.1));
+        pass.draw(0..3, 0..1);
+    }
+}
+
+fn extent() -> wgpu::Extent3d {
+    wgpu::Extent3d { width: SIZE.x as u32, height: SIZE.y as u32, depth_or_array_layers: 1 }
+}
+
+fn pipeline(gpu: &Gpu, shader: &wgpu::ShaderModule, format: wgpu::TextureFormat) -> wgpu::RenderPipeline {
+    let target =
+        wgpu::ColorTargetState { format, blend: Some(wgpu::BlendState::PREMULTIPLIED_ALPHA_BLENDING), write_mask: wgpu::ColorWrites::ALL };
+    let constants = [("SCALE", f64::from(SCALE))];
+    gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+        label: Some("overlay"),
+        layout: None,
+        vertex: wgpu::VertexState {
+            module: shader,
+            entry_point: Some("vs_fullscreen"),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            buffers: &[],
+        },
+        primitive: wgpu::PrimitiveState::default(),
+        depth_stencil: None,
+        multisample: wgpu::MultisampleState::default(),
+        fragment: Some(wgpu::FragmentState {
+            module: shader,
+            entry_point: Some("fs_overlay"),
+            compilation_options: wgpu::PipelineCompilationOptions { constants: &constants, ..Default::default() },
+            targets: &[Some(target)],
+        }),
+        multiview_mask: None,
+        cache: None,
+    })
+}
+
+fn paint(canvas: &mut Canvas, told: &Told<'_>) {
+    canvas.fill(PAPER);
+    let map = IVec2::splat(MARGIN);
+    paint_map(canvas, map, told);
+    let mut at = map + IVec2::new(0, MAP.y + MARGIN);
+    for (line, colour) in lines(told) {
+        canvas.text(at, &line, colour);
+        at.y += CELL.y;
+    }
+}
+
+/// The whole panorama, the view's middle as a cross, and each light as a disc in its colour, larger the more of all light it is.
+fn paint_map(canvas: &mut Canvas, at: IVec2, told: &Told<'_>) {
+    canvas.frame(at, MAP, FAINT);
+    let place = |direction: Vec3| at + (uv_from_direction(direction) * MAP.as_vec2()).as_ivec2();
+    let middle = place(told.looking);
+    for step in -2..=2 {
+        canvas.dot(middle + IVec2::new(step, 0), FAINT);
+        canvas.dot(middle + IVec2::new(0, step), FAINT);
+    }
+    let whole =
+        luminance(told.light.sh[0]).max(0.0) * 0.886 + told.light.lights.iter().map(|light| luminance(light.irradiance)).sum::<f32>();
+    for light in &told.light.lights {
+        let share = luminance(light.irradiance) / whole.max(f32::MIN_POSITIVE);
+        let colour = light.irradiance / light.irradiance.max_element().max(f32::MIN_POSITIVE);
+        let [r, g, b] = colour.to_array().map(|channel| (srgb_encode(channel) * 255.0).round() as u8);
+        canvas.disc(place(light.direction), 1 + (5.0 * share.clamp(0.0, 1.0).sqrt()) as i32, [r, g, b, 255]);
+    }
+}
+
+fn lines(told: &Told<'_>) -> Vec<(String, Colour)> {
+    let Drawn { passes, tier, plan } = told.drawn;
+    let over = told.budget_ms.is_some_and(|budget| told.cost_ms > budget);
+    let budget = told.budget_ms.map_or_else(String::new, |budget| format!(" of {budget:.1}"));
+    let reflections = if plan.reflections { format!("1/{}", plan.reflections_every) } else { "-".to_owned() };
+    let occlusion = if plan.occlusion { "on" } else { "-" };
+    let mut lines = vec![
+        (format!("frame {:.1}{budget} ms  tier {tier}", told.cost_ms), if over { WARNING } else { INK }),
+        (format!("lights {}  shadows {}  samples {}", told.light.lights.len(), plan.shadows, plan.samples), INK),
+        (format!("reflections {reflections}  occlusion {occlusion}"), INK),
+    ];
+    lines.extend(passes.iter().map(|pass| (format!("{:>7.2} ms  {}", pass.gpu_ms, pass.name), FAINT)));
+    lines
+}
+
+#[cfg(test)]
+mod tests {
+    use mr360_protocol::light::DirectionalLight;
+
+    use super::*;
+    use crate::governor::Tier;
+    use crate::headless::Offscreen;
+    use crate::stats::PassTime;
+    use crate::view::Plan;
+
+    fn light(direction: Vec3, irradiance: Vec3) -> FrameLight {
+        FrameLight { lights: vec![DirectionalLight { id: 1, direction, irradiance, solid_angle_sr: 0.01 }], ..FrameLight::default() }
+    }
+
+    fn told<'a>(drawn: &'a Drawn, light: &'a FrameLight) -> Told<'a> {
+        Told { drawn, cost_ms: 12.34, budget_ms: Some(11.1), light, looking: Vec3::NEG_Z }
+    }
+
+    #[test]
+    fn the_lines_say_what_was_decided_and_what_it_costs() {
+        let plan = Plan { objects: true, reflections: true, reflections_every: 4, shadows: 1, samples: 1, ..Plan::default() };
+        let drawn = Drawn { passes: vec![PassTime { name: "composite", gpu_ms: 3.456 }], tier: Tier::LOWEST, plan };
+        let light = light(Vec3::Y, Vec3::ONE);
+        let lines = lines(&told(&drawn, &light));
+        let texts: Vec<&str> = lines.iter().map(|(line, _)| line.as_str()).collect();
+        let expected = [
+            "frame 12.3 of 11.1 ms  tier 4 of 4",
+            "lights 1  shadows 1  samples 1",
+            "reflections 1/4  occlusion -",
+            "   3.46 ms  composite",
+        ];
+        assert_eq!(texts, expected);
+        assert_eq!(lines[0].1, WARNING, "over the budget");
+        let longest = texts.iter().map(|line| line.len()).max().unwrap() as i32;
+        assert!(longest * CELL.x <= SIZE.x - 2 * MARGIN);
+    }
+
+    #[test]
+    fn a_light_is_where_it_is_in_the_panorama_and_nothing_else_is_touched() {
+        let gpu = Gpu::headless().unwrap();
+        let mut offscreen = Offscreen::new(&gpu.device, &gpu.queue, 400, 400);
+        let mut overlay = Overlay::new(&gpu, Offscreen::FORMAT).unwrap();
+        let (drawn, light) = (Drawn::default(), light(Vec3::X, Vec3::new(1.0, 0.0, 0.0)));
+        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let target = offscreen.target();
+        overlay.draw(&gpu, &mut encoder, (&target.view, (400, 400)), &told(&drawn, &light));
+        gpu.queue.submit([encoder.finish()]);
+        let texels = offscreen.read().unwrap();
+        let at = |x: usize, y: usize| <[u8; 4]>::try_from(&texels[4 * (400 * y + x)..][..4]).unwrap();
+        // +x is three quarters along the panorama, at half its height: 4 + 126 and 4 + 42, twice as large.
+        assert_eq!(at(260, 92), [255, 0, 0, 255]);
+        assert_eq!((at(260, 60)[0], at(0, 0)[3]), (0, PAPER[3]));
+        // Beyond its edge the target is as it was.
+        assert_eq!((at(352, 10), at(10, 352)), ([0; 4], [0; 4]));
+    }
+}
