@@ -6,18 +6,23 @@
         python mitsuba_truth.py truth   --panoramas target/media/hdr --scene tests/references/truth/SCENE.toml --out tests/references/truth
         python mitsuba_truth.py shadows --scenes tests/references/shadows
 
-Without DRJIT_LIBLLVM_PATH the LLVM library that the system has is used; Dr.Jit 1.5 wants 15.0.7 or newer.
+Without DRJIT_LIBLLVM_PATH the LLVM library that the system has is used; 17 or newer, as 14 to 16 abort.
 
 The ground is a plane. Its albedo at a point is π times the radiance that the panorama shows there, seen from the camera, over the irradiance of
 level, unoccluded ground under the panorama. Where that exceeds ALBEDO_MOST the rest of the radiance is emitted, so that the ground looks right
 there too; `truth.json` states the share of the visible ground's radiance that is. The panorama's lower half lies behind the ground and lights nothing.
 
-Materials are metallic-roughness as glTF defines it, with energy kept: GGX scaled for multiple scattering (Turquin 2019, Eq. 16) over a Lambertian base that gets what
-is not reflected. A roughness of 0 is a perfect mirror. Pixels are box filtered, colours clamped to [0, 1] and sRGB encoded.
+Materials are metallic-roughness as glTF defines it, with energy kept: GGX scaled for multiple scattering (Turquin 2019, Eq. 16) over a
+Lambertian base that gets what is not reflected. A roughness of 0 is a perfect mirror. Pixels are box filtered, colours clamped to [0, 1] and
+sRGB encoded.
 
-Every picture is the mean of RUNS renderings with fixed seeds. Where the camera sees nothing but ground, it is what the panorama shows plus the difference between renderings
-with and without objects, of the same seeds: without bias, and noise is left only where objects change something. Runs in which a pixel is far above its median (light focused by a mirror, found by chance) are left out of that
-pixel's mean; `truth.json` states by how much that dims the picture. Conventions are checked with spots of light first.
+Every picture is the mean of RUNS renderings with fixed seeds. Where the camera sees nothing but ground, it is what the panorama shows plus the
+difference between renderings with and without objects, of the same seeds: without bias, and noise is left only where objects change something.
+Runs in which a pixel is far above its median (light focused by a mirror, found by chance) are left out of that pixel's mean; `truth.json`
+states by how much that dims the picture. Conventions are checked with spots of light first.
+
+`shadows` renders the visibility of distant discs on white ground: of each pixel the share of their light that arrives, and as alpha whether
+nothing but ground is seen through it.
 """
 
 import argparse
@@ -157,7 +162,8 @@ def load_panorama(path):
 
 
 def environment(radiance):
-    # Mitsuba takes the first and the last row to lie at the poles and not half a row off: between every two rows their mean is put in, and the outermost ones twice.
+    # Mitsuba takes the first and the last row to lie at the poles and not half a row off: between every two rows their mean is put in, and
+    # the outermost ones twice.
     rows, columns, _ = radiance.shape
     spread = np.zeros((2 * rows + 1, columns, 3))
     spread[1::2] = radiance
@@ -241,6 +247,20 @@ def placement(item):
     return move.rotate([0, 1, 0], y).rotate([1, 0, 0], x).rotate([0, 0, 1], z).scale(scale)
 
 
+def cylinder(to_world, around=96):
+    """One metre across and high before it is placed."""
+    angles = np.radians(np.linspace(0, 360, around + 1))[:-1]
+    ring = np.stack([np.sin(angles), 0 * angles, np.cos(angles)], -1) * 0.5
+    at = np.arange(around)
+    following, upper, middle = (at + 1) % around, at + around, 0 * at + 2 * around
+    above = following + around
+    positions = np.concatenate([ring - [0, 0.5, 0], ring + [0, 0.5, 0], [[0, -0.5, 0], [0, 0.5, 0]]])
+    triangles = [(at, following, upper), (following, above, upper), (following, at, middle), (upper, above, middle + 1)]
+    positions = np.c_[positions, np.ones(len(positions))] @ np.array(to_world.matrix).T
+    indices = np.concatenate([np.stack(corners, -1) for corners in triangles])
+    return mesh("cylinder", positions[:, :3], indices, props=with_bsdf({"type": "diffuse"}))
+
+
 def load_object(item, folder):
     """One [[object]] of a SCENE.toml."""
     to_world = placement(item)
@@ -249,16 +269,7 @@ def load_object(item, folder):
         bsdf = material(rgb(given["base_color"]), given["roughness"], given["metallic"])
         return {"type": "sphere", "radius": 0.5, "to_world": to_world, "bsdf": bsdf}
     if item.get("shape") == "cylinder":
-        around = np.radians(np.linspace(0, 360, 97))[:-1]
-        ring = np.stack([np.sin(around), 0 * around, np.cos(around)], -1) * 0.5
-        at, n = np.arange(96), 96
-        following = (at + 1) % n
-        positions = np.concatenate([ring - [0, 0.5, 0], ring + [0, 0.5, 0], [[0, -0.5, 0], [0, 0.5, 0]]])
-        sides = np.concatenate([np.stack([at, following, at + n], -1), np.stack([following, following + n, at + n], -1)])
-        caps = np.concatenate([np.stack([following, at, 0 * at + 2 * n], -1), np.stack([at + n, following + n, 0 * at + 2 * n + 1], -1)])
-        matrix = np.array(to_world.matrix)
-        positions = np.c_[positions, np.ones(len(positions))] @ matrix.T
-        return mesh("cylinder", positions[:, :3], np.concatenate([sides, caps]), props=with_bsdf({"type": "diffuse"}))
+        return cylinder(to_world)
     model = Gltf(folder / item["model"])
     primitive = model.json["meshes"][0]["primitives"][0]
     attributes = {name: model.accessor(at) for name, at in primitive["attributes"].items()}
@@ -317,7 +328,10 @@ def bilinear(radiance, u, v):
     x, y = u * columns - 0.5, np.clip(v * rows - 0.5, 0, rows - 1)
     left, top = np.floor(x).astype(int), np.minimum(np.floor(y).astype(int), rows - 2)
     across, down = (x - left)[..., None], (y - top)[..., None]
-    at = lambda row, column: radiance[row, column % columns]
+
+    def at(row, column):
+        return radiance[row, column % columns]
+
     upper = at(top, left) * (1 - across) + at(top, left + 1) * across
     lower = at(top + 1, left) * (1 - across) + at(top + 1, left + 1) * across
     return upper * (1 - down) + lower * down

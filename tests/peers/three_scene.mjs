@@ -203,7 +203,7 @@ async function page( jobs ) {
 }
 
 const say = ( text ) => writeSync( 1, `${ text.replaceAll( '\n', ' ' ) }\n` );
-const [ folder, chromium ] = process.argv.slice( 2 );
+const [ folder, chromium ] = process.argv.slice( - 2 );
 const jobs = JSON.parse( readFileSync( 0, 'utf8' ) );
 const three = join( resolve( folder ), 'node_modules', 'three' );
 if ( ! existsSync( three ) ) throw new Error( `${ folder }: holds no three; run \`npm install three\` in it` );
