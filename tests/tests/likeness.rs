@@ -3,6 +3,7 @@
 use std::process::Command;
 
 use anyhow::{Context, Result, ensure};
+use mr360_tests::sandbox::Sandbox;
 
 /// Ours has to look less wrong than three.js's pictures on this many of the eight panoramas.
 const LOWER_ON: usize = 7;
@@ -44,5 +45,42 @@ fn shadows_lie_where_traced_light_leaves_them() -> Result<()> {
     let errors = rows.iter().map(|row| figure(row, 4)).collect::<Result<Vec<_>>>()?;
     let mean = errors.iter().sum::<f64>() / errors.len() as f64;
     ensure!(mean <= SHADOW_ERROR, "mean shadow error {mean}: {rows:?}");
+    Ok(())
+}
+
+#[test]
+fn every_pass_of_a_picture_is_timed() -> Result<()> {
+    let sandbox = Sandbox::new()?;
+    image::RgbImage::from_pixel(64, 32, image::Rgb([200; 3])).save(sandbox.path("even.png"))?;
+    std::fs::write(sandbox.path("SCENE.toml"), "ground_y = -1.6\n[[object]]\nshape = \"sphere\"\nposition = [0.0, -1.1, -3.0]\n")?;
+    let render = |passes: &str| -> Result<std::process::Output> {
+        let mut command = sandbox.client_command()?;
+        command.args([
+            "render",
+            "--panorama",
+            "even.png",
+            "--scene",
+            "SCENE.toml",
+            "--size",
+            "64x36",
+            "--out",
+            "out.png",
+            "--passes",
+            passes,
+        ]);
+        Ok(command.output()?)
+    };
+    let output = render("passes.csv")?;
+    ensure!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let text = std::fs::read_to_string(sandbox.path("passes.csv"))?;
+    let passes: Vec<_> = text.lines().filter_map(|line| line.rsplit_once(',')).collect();
+    ensure!(passes.first() == Some(&("pass", "gpu_ms")), "{text}");
+    for name in ["objects", "composite"] {
+        let time = passes.iter().find(|(pass, _)| *pass == name).and_then(|(_, ms)| ms.parse::<f64>().ok());
+        ensure!(time.is_some_and(|ms| ms > 0.0), "{name}: {text}");
+    }
+    let output = render("nowhere/passes.csv")?;
+    let said = String::from_utf8_lossy(&output.stderr);
+    ensure!(output.status.code() == Some(2) && said.contains("nowhere/passes.csv"), "{}: {said}", output.status);
     Ok(())
 }
