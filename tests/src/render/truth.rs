@@ -90,7 +90,7 @@ pub(super) fn run(options: &Options) -> Result<String> {
     }
     let (three_from, version) = match &options.three {
         Some(three) => (options.out.clone(), draw(&options.node, three, &options.chromium, &jobs)?),
-        None => (folder.clone(), "the kept pictures of three.js; `--three` draws them anew".to_owned()),
+        None => (folder.clone(), "kept pictures of three.js, which `--three` draws anew".to_owned()),
     };
     let (mut rows, mut pictures) = (Vec::new(), Vec::new());
     for (name, ours) in kept.panoramas.keys().zip(ours) {
@@ -155,7 +155,7 @@ fn section(rows: &[Row], kept: &Kept, three: &str) -> String {
         Table::new(&["panorama", "ours FLIP", "three.js FLIP", "ours RMSE", "three.js RMSE", "ground emits", "noise of the truth"]);
     for row in rows {
         let quality = kept.panoramas.get(&row.panorama);
-        let of = |figure: fn(&Quality) -> f64| quality.map(figure).map_or_else(String::new, |value| number(value));
+        let of = |figure: fn(&Quality) -> f64| quality.map(figure).map_or_else(String::new, number);
         let figures = [row.ours.flip, row.three.flip, row.ours.rmse, row.three.rmse].map(number);
         let known = [of(|quality| quality.emitted_share_of_ground), of(|quality| quality.standard_error)];
         main.push(std::iter::once(row.panorama.clone()).chain(figures).chain(known));
@@ -177,7 +177,7 @@ fn section(rows: &[Row], kept: &Kept, three: &str) -> String {
     }
     format!(
         "## Against path-traced truth\n\nThree spheres, a fox and a bunny on a ground whose albedo makes it look, with nothing on it, as the panorama does; \
-         Mitsuba {}, {} runs of {} samples a pixel. three.js: {three}. The light is the server's estimate for both.\n\n\
+         Mitsuba {}, {} runs of {} samples a pixel. Beside ours: {three}. The light is the server's estimate for both.\n\n\
          FLIP of ours is lower on **{lower} of {}** panoramas (wanted: at least {WANTED}; **{verdict}**); mean {} against {} of three.js.\n\n{}\n\
          What each region adds to the mean FLIP:\n\n{}\n\
          Truth, ours, three.js, and FLIP of ours and of three.js, one row a panorama in the order of the table:\n\n![Pictures](render-truth.jpg)\n",
