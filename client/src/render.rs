@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context as _, anyhow, bail};
-use glam::Vec3;
+use glam::{Quat, Vec3};
 use half::f16;
 use image::ImageFormat;
 use mr360_protocol::asset::{AssetId, MAX_ASSET_BYTES};
@@ -40,6 +40,8 @@ const MAX_LIGHT_BYTES: u64 = 1024 * 1024;
 /// Frames that `--passes` times, and those before them, which fill caches; times come back two frames late.
 const TIMED_FRAMES: usize = 5;
 const UNTIMED_FRAMES: usize = 3;
+/// By which lights turn from one of these frames to the next, so that nothing that depends on them is kept.
+const TURN_RAD: f32 = 1e-3;
 
 /// Draw a scene into a still panorama.
 #[derive(Debug, Clone, clap::Args)]
@@ -68,7 +70,7 @@ pub struct RenderArgs {
     /// The same in linear light, as OpenEXR.
     #[arg(long)]
     pub out_linear: Option<PathBuf>,
-    /// GPU time of every pass, as CSV: the median over frames that each bring a new picture, as video does.
+    /// GPU time of every pass, as CSV: the median over frames that each bring a new picture and lights that moved, as video does.
     #[arg(long)]
     pub passes: Option<PathBuf>,
     /// Light of the panorama: the JSON that `mr360-server analyze --json` prints. Without it, spherical
@@ -211,19 +213,6 @@ impl Still<'_> {
         }
     }
 
-    fn draw_checked(&self, camera: &Camera, size: (u32, u32), format: wgpu::TextureFormat) -> Result<Vec<u8>, Failure> {
-        let gpu = self.gpu;
-        let (mut environment, mut renderer) = self.set_up(format)?;
-        let target = target(gpu, size, format);
-        let view = target.create_view(&wgpu::TextureViewDescriptor::default());
-        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        let report = renderer.render(gpu, &mut encoder, &mut environment, &[View { camera: *camera, target: &view, size }]);
-        gpu.queue.submit([encoder.finish()]);
-        let bytes = gpu.read_texture(&target).map_err(running)?;
-        tracing::debug!(plan = ?report.plan, draws = report.draws, triangles = report.triangles, "drawn");
-        Ok(bytes)
-    }
-
     /// The panorama on the GPU, and a renderer that has light and scene.
     fn set_up(&self, format: wgpu::TextureFormat) -> Result<(Environment, Renderer), Failure> {
         let gpu = self.gpu;
@@ -237,7 +226,20 @@ impl Still<'_> {
         Ok((environment, renderer))
     }
 
-    /// GPU time of every pass, the median over frames that each bring a new picture.
+    fn draw_checked(&self, camera: &Camera, size: (u32, u32), format: wgpu::TextureFormat) -> Result<Vec<u8>, Failure> {
+        let gpu = self.gpu;
+        let (mut environment, mut renderer) = self.set_up(format)?;
+        let target = target(gpu, size, format);
+        let view = target.create_view(&wgpu::TextureViewDescriptor::default());
+        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let report = renderer.render(gpu, &mut encoder, &mut environment, &[View { camera: *camera, target: &view, size }]);
+        gpu.queue.submit([encoder.finish()]);
+        let bytes = gpu.read_texture(&target).map_err(running)?;
+        tracing::debug!(plan = ?report.plan, draws = report.draws, triangles = report.triangles, "drawn");
+        Ok(bytes)
+    }
+
+    /// GPU time of every pass, the median over frames that each bring a new picture and lights that moved.
     ///
     /// # Errors
     /// As [`Still::draw`], and [`Failure::Running`] for a GPU that cannot time its passes.
@@ -245,9 +247,12 @@ impl Still<'_> {
         let (gpu, format) = (self.gpu, wgpu::TextureFormat::Rgba8UnormSrgb);
         let (mut environment, mut renderer) = self.set_up(format)?;
         let view = target(gpu, size, format).create_view(&wgpu::TextureViewDescriptor::default());
+        let mut light = self.light.clone();
         let mut frames = Vec::with_capacity(TIMED_FRAMES);
         for frame in 0..UNTIMED_FRAMES + TIMED_FRAMES {
             environment.upload(gpu, self.picture).map_err(|error| Failure::Input(error.into()))?;
+            light.lights.iter_mut().for_each(|light| light.direction = Quat::from_rotation_y(TURN_RAD) * light.direction);
+            renderer.set_light(&light);
             let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
             let report = renderer.render(gpu, &mut encoder, &mut environment, &[View { camera: *camera, target: &view, size }]);
             gpu.queue.submit([encoder.finish()]);

@@ -244,7 +244,7 @@ fn write(options: &Options, timed: &[Timed]) -> Result<String> {
     save(&options.out, "render-growth.svg", &stack(&charts)?)?;
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     Ok(format!(
-        "## Growth\n\nGPU time of all passes of a frame with a new picture of 1024×512, median of 5 frames, on this machine with {cores} cores. Unless varied: {} light, {} balls of \
+        "## Growth\n\nGPU time of all passes of a frame with a new picture of 1024×512 and lights that moved, median of 5 frames, on this machine with {cores} cores. Unless varied: {} light, {} balls of \
          roughness {}, {}×{} pixels; triangles are those of one ball. Fits are t = a + b x^p of least squares, in milliseconds.\n\n{}\n![Growth](render-growth.svg)\n",
         BASE.lights,
         BASE.objects,
