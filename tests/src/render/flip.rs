@@ -211,24 +211,15 @@ mod tests {
             [x * 5 + y + 20 * u32::from(x > 20), 90 + y * 4 + 30 * u32::from((x / 6 + y / 6) % 2 == 0), 190 - x * 3]
         });
         let difference = flip(&reference, &test);
-        let expected = EXPECTED;
-        assert!((mean(&difference) - expected.0).abs() < 2e-4, "{}", mean(&difference));
-        for ((x, y), value) in expected.1 {
+        assert!((mean(&difference) - MEAN).abs() < 2e-4, "{}", mean(&difference));
+        for (x, y, value) in POINTS {
             let own = difference[y * 48 + x];
             assert!((own - value).abs() < 1e-3, "{x}, {y}: {own}, not {value}");
         }
     }
 
-    const EXPECTED: (f64, [((usize, usize), f64); 7]) = (
-        0.47974,
-        [
-            ((0, 0), 0.4595),
-            ((10, 5), 0.3462),
-            ((21, 16), 0.3728),
-            ((30, 20), 0.5058),
-            ((47, 31), 0.5823),
-            ((20, 3), 0.2504),
-            ((36, 11), 0.4570),
-        ],
-    );
+    const MEAN: f64 = 0.47974;
+    /// Column, row and value.
+    const POINTS: [(usize, usize, f64); 7] =
+        [(0, 0, 0.4595), (10, 5, 0.3462), (21, 16, 0.3728), (30, 20, 0.5058), (47, 31, 0.5823), (20, 3, 0.2504), (36, 11, 0.4570)];
 }
