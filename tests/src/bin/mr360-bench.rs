@@ -23,7 +23,7 @@ struct Cli {
 enum Bench {
     /// Light: accuracy against time of every method on HDR panoramas; speed on one live frame; sweep of the working resolution; stability over time; steps and share of one core for large frames of a clip.
     Lighting(Lighting),
-    /// The demo's scene in a viewer beside its server: first picture, frame rate, time of every pass, age of light.
+    /// The demo's scene in a viewer beside its server; pictures against path-traced truth and three.js; shadows against path-traced visibility; growth of time.
     Render(Render),
     /// One server and N headless viewers: age of light and video, the server's CPU and memory, bytes per track.
     Network(Network),
@@ -104,7 +104,10 @@ struct Render {
     /// Folder for the results; made where it is missing.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// What the server broadcasts.
+    /// What is measured; everything unless given.
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "viewers,truth,shadows,growth")]
+    part: Vec<RenderPart>,
+    /// What the server broadcasts to viewers.
     #[arg(long, default_value = "synthetic:plaza?size=1280x640", value_name = "URL|FILE|synthetic:NAME")]
     source: String,
     /// What stands in it.
@@ -116,6 +119,42 @@ struct Render {
     /// Frames that each viewer presents.
     #[arg(long, default_value_t = 300, value_name = "N", value_parser = clap::value_parser!(u32).range(61..=100_000))]
     frames: u32,
+    /// Folder of the panoramas for truth, instead of those that deploy/fetch-media brought.
+    #[arg(long, value_name = "FOLDER")]
+    panoramas: Option<PathBuf>,
+    /// A folder in which `npm install three` was run: draws three.js's pictures anew, in place of the kept ones.
+    #[arg(long, value_name = "FOLDER")]
+    three: Option<PathBuf>,
+    /// The Node that runs three.js's script.
+    #[arg(long, default_value = "node", value_name = "PATH")]
+    node: PathBuf,
+    /// The browser that three.js draws in.
+    #[arg(long, default_value = "chromium", value_name = "PATH")]
+    chromium: PathBuf,
+}
+
+/// What `render` measures.
+#[derive(Clone, Copy, ValueEnum)]
+enum RenderPart {
+    /// A scene in a viewer beside its server.
+    Viewers,
+    /// Pictures against path-traced truth, beside three.js.
+    Truth,
+    /// Shadows against path-traced visibility.
+    Shadows,
+    /// Time of every pass over lights, objects, triangles, roughness and size.
+    Growth,
+}
+
+impl From<RenderPart> for render::Part {
+    fn from(part: RenderPart) -> Self {
+        match part {
+            RenderPart::Viewers => Self::Viewers,
+            RenderPart::Truth => Self::Truth,
+            RenderPart::Shadows => Self::Shadows,
+            RenderPart::Growth => Self::Growth,
+        }
+    }
 }
 
 #[derive(Args)]
@@ -160,7 +199,10 @@ fn run(bench: Bench) -> anyhow::Result<()> {
             let parts = part.into_iter().map(Into::into).collect();
             lighting::run(&lighting::Options { parts, panoramas, rounds, python, three, node, size, frames, method, out })
         }
-        Bench::Render(Render { out, source, scene, size, frames }) => render::run(&render::Options { source, scene, size, frames, out }),
+        Bench::Render(Render { out, part, source, scene, size, frames, panoramas, three, node, chromium }) => {
+            let parts = part.into_iter().map(Into::into).collect();
+            render::run(&render::Options { parts, source, scene, size, frames, panoramas, three, node, chromium, out })
+        }
         Bench::Network(Network { out, viewers, seconds, source, size }) => {
             network::run(&network::Options { viewers, seconds, source, size, out })
         }

@@ -1,11 +1,10 @@
 //! A scene in a viewer beside its server: how soon the first picture comes, how many follow, what each pass takes, how old the light is.
 
-use std::fs;
-use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
 
+use super::Options;
 use crate::chart::{Axis, Chart, Mark, Scale, Series, number};
 use crate::figures::{Quantiles, frame_rate, quantiles_ms, save};
 use crate::samples::{Samples, percentile};
@@ -16,21 +15,6 @@ use crate::table::Table;
 const WARM_UP_US: f64 = 1e6;
 /// Longest that a viewer may take.
 const PATIENCE: Duration = Duration::from_secs(600);
-
-/// What to run.
-#[derive(Debug, Clone)]
-pub struct Options {
-    /// As for `mr360-server serve --source`.
-    pub source: String,
-    /// As for `mr360-server serve --scene`.
-    pub scene: PathBuf,
-    /// Size of the viewers' pictures, `WIDTHxHEIGHT`.
-    pub size: String,
-    /// Frames that each viewer presents.
-    pub frames: u32,
-    /// Folder that the results go into; made where it is missing.
-    pub out: PathBuf,
-}
 
 /// What one viewer measured.
 #[derive(Debug, Clone, PartialEq)]
@@ -46,13 +30,12 @@ struct Run {
     passes: Vec<(String, Vec<(f64, f64)>)>,
 }
 
-/// Runs the bench and writes `render.csv`, `render-passes.csv`, `render.md` and the chart `render-passes.svg`.
+/// Runs both viewers, writes `render.csv`, `render-passes.csv` and the chart `render-passes.svg`, and returns the section of the summary.
 ///
 /// # Errors
 /// When a program fails, writes no statistics, or the results cannot be written.
-pub fn run(options: &Options) -> Result<()> {
+pub(super) fn run(options: &Options) -> Result<String> {
     ensure!(options.frames > 60, "--frames wants more than 60: the first second is left out");
-    fs::create_dir_all(&options.out).with_context(|| format!("--out {}: cannot be made", options.out.display()))?;
     let sandbox = Sandbox::new()?;
     let scene = options.scene.canonicalize().with_context(|| format!("--scene {}", options.scene.display()))?;
     let scene = scene.to_str().context("--scene: the path is not UTF-8")?;
@@ -94,7 +77,7 @@ fn measure(name: &'static str, samples: &Samples) -> Result<Run> {
     })
 }
 
-fn write(options: &Options, runs: &[Run]) -> Result<()> {
+fn write(options: &Options, runs: &[Run]) -> Result<String> {
     let mut table = Table::new(&["viewer", "first picture s", "after its data ms", "frames/s", "light age p50 ms", "light age p95 ms"]);
     let mut passes = Table::new(&["viewer", "pass", "p50 ms", "p95 ms"]);
     let mut series = Vec::new();
@@ -110,7 +93,7 @@ fn write(options: &Options, runs: &[Run]) -> Result<()> {
     }
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let summary = format!(
-        "# Rendering\n\n`mr360-bench render`: source `{}`, the scene `{}` at {}, {} frames a viewer, all but the first picture without its \
+        "## A viewer beside its server\n\nSource `{}`, the scene `{}` at {}, {} frames a viewer, all but the first picture without its \
          first second. Server and one viewer at a time share one machine with {cores} cores. The early viewer joins as soon as the server can be \
          joined and waits for its source; the late one joins a broadcast on air. First pictures count from the start of the viewer's program; the driver's \
          shader cache is empty for the early one and filled for the late one.\n\n{}\n\
@@ -122,24 +105,22 @@ fn write(options: &Options, runs: &[Run]) -> Result<()> {
         table.markdown(),
         passes.markdown(),
     );
-    let mut files = vec![("render.csv", table.csv()), ("render-passes.csv", passes.csv())];
+    save(&options.out, "render.csv", &table.csv())?;
+    save(&options.out, "render-passes.csv", &passes.csv())?;
     if series.is_empty() {
-        files.push(("render.md", summary));
-    } else {
-        let axis = |label: &str| Axis { label: label.to_owned(), scale: Scale::Linear };
-        let (x, y) = (axis("time since the viewer began / s"), axis("GPU time / ms"));
-        let chart = Chart { title: "Time of each pass".to_owned(), x, y, series };
-        files.push(("render.md", summary + "![Passes](render-passes.svg)\n"));
-        files.push(("render-passes.svg", chart.svg()?));
+        return Ok(summary);
     }
-    for (name, content) in files {
-        save(&options.out, name, &content)?;
-    }
-    Ok(())
+    let axis = |label: &str| Axis { label: label.to_owned(), scale: Scale::Linear };
+    let (x, y) = (axis("time since the viewer began / s"), axis("GPU time / ms"));
+    let chart = Chart { title: "Time of each pass".to_owned(), x, y, series };
+    save(&options.out, "render-passes.svg", &chart.svg()?)?;
+    Ok(summary + "![Passes](render-passes.svg)\n")
 }
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
 
     #[test]
@@ -158,18 +139,12 @@ mod tests {
         assert!(run.passes[0].0 == "composite" && run.passes[0].1.iter().all(|(_, ms)| *ms == 1.5));
 
         let folder = tempfile::tempdir().unwrap();
-        let options = Options {
-            source: "synthetic:plaza".to_owned(),
-            scene: "SCENE.toml".into(),
-            size: "640x360".to_owned(),
-            frames: 100,
-            out: folder.path().to_owned(),
-        };
-        write(&options, &[run]).unwrap();
+        let options = super::super::tests::options(folder.path());
+        assert!(write(&options, &[run]).unwrap().contains("render-passes.svg"));
         let csv = fs::read_to_string(folder.path().join("render.csv")).unwrap();
         assert_eq!(csv.lines().nth(1), Some("early,2,30,20,40,40"));
         let passes = fs::read_to_string(folder.path().join("render-passes.csv")).unwrap();
         assert_eq!(passes.lines().nth(1), Some("early,composite,1.5,1.5"));
-        assert!(folder.path().join("render-passes.svg").is_file() && folder.path().join("render.md").is_file());
+        assert!(folder.path().join("render-passes.svg").is_file());
     }
 }
