@@ -3,6 +3,7 @@
 //! [`equirect`], [`sh`] and [`colour`] hold the conventions of the whole project once, for the server's
 //! analysis and for tests; the WGSL files of the same names are their GPU twins.
 
+pub mod brdf;
 pub mod colour;
 pub mod equirect;
 pub mod layout;

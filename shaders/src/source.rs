@@ -77,12 +77,22 @@ pub enum Module {
     Composite,
     /// Light kernels at given directions, for tests against their CPU twins.
     Probe,
+    /// Surfaces under ambient light and one light, for tests against numerical integrals.
+    BrdfProbe,
 }
 
 impl Module {
     /// Every module.
-    pub const ALL: [Self; 7] =
-        [Self::EnvironmentLift, Self::EnvironmentMip, Self::Caster, Self::Object, Self::Ground, Self::Composite, Self::Probe];
+    pub const ALL: [Self; 8] = [
+        Self::EnvironmentLift,
+        Self::EnvironmentMip,
+        Self::Caster,
+        Self::Object,
+        Self::Ground,
+        Self::Composite,
+        Self::Probe,
+        Self::BrdfProbe,
+    ];
 
     /// Name of its file.
     #[must_use]
@@ -95,6 +105,7 @@ impl Module {
             Self::Ground => "ground.wgsl",
             Self::Composite => "composite.wgsl",
             Self::Probe => "probe.wgsl",
+            Self::BrdfProbe => "brdf_probe.wgsl",
         }
     }
 
@@ -124,6 +135,7 @@ macro_rules! files {
 
 files![
     "brdf.wgsl",
+    "brdf_probe.wgsl",
     "caster.wgsl",
     "colour.wgsl",
     "composite.wgsl",

@@ -4,14 +4,23 @@
 #import "sh.wgsl"
 #import "video.wgsl"
 
+// A light to be cut out.
+struct Cut {
+    direction: vec3<f32>,
+    // Cosines of the half angles within which all of the share is taken, and from which nothing is.
+    cos_inner: f32,
+    cos_outer: f32,
+    share: f32,
+    padding: vec2<f32>,
+}
+
 struct Lift {
     sh: array<vec4<f32>, 25>,
-    // To be cut out. xyz: direction, w: cosine of half the cone.
-    lights: array<vec4<f32>, 8>,
+    cuts: array<Cut, 8>,
     size_px: vec2<u32>,
     // Samples along one side of a texel.
     samples: u32,
-    light_count: u32,
+    cut_count: u32,
 }
 
 @group(0) @binding(0) var<uniform> lift: Lift;
@@ -33,12 +42,14 @@ fn fs_lift(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
     }
     var radiance = min(sum / f32(lift.samples * lift.samples), vec3(MAX_MAGNITUDE));
     // A light comes back as its own highlight: what is left in its place is the residual, which the SH hold.
-    var within = false;
-    for (var i = 0u; i < lift.light_count; i++) {
-        within = within || dot(direction, lift.lights[i].xyz) >= lift.lights[i].w;
+    var taken = 0.0;
+    for (var i = 0u; i < lift.cut_count; i++) {
+        let cut = lift.cuts[i];
+        taken = max(taken, cut.share * smoothstep(cut.cos_outer, cut.cos_inner, dot(direction, cut.direction)));
     }
-    if within {
-        radiance = min(radiance, max(sh_sum(SH_COUNT, direction, RADIANCE_BAND), vec3(0.0)));
+    if taken > 0.0 {
+        let residual = max(sh_sum(SH_COUNT, direction, RADIANCE_BAND), vec3(0.0));
+        radiance = mix(radiance, min(radiance, residual), taken);
     }
     return vec4(radiance, 1.0);
 }

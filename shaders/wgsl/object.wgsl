@@ -137,7 +137,7 @@ fn fs_object(in: ObjectVertex, @builtin(front_facing) front: bool) -> @location(
     if SURFACE == SURFACE_GLASS {
         return vec4(min(glass_radiance(in.world, n, v, albedo, mirror, footprint_sr), vec3(MAX_MAGNITUDE)), 1.0);
     }
-    let f0 = mix(vec3(0.04), albedo, metallic);
+    let f0 = surface_f0(albedo, metallic);
     let weights = ambient_weights(f0, albedo, metallic, max(dot(n, v), 0.0), roughness);
     let kept = neighbour_ratio(in.world, n, in.object);
     let around = reflected(mirror, roughness, footprint_sr);
@@ -149,7 +149,7 @@ fn fs_object(in: ObjectVertex, @builtin(front_facing) front: bool) -> @location(
         if cosine > 0.0 {
             // A highlight for as much of the reflection as lacks the light: on top of the rest it would count twice.
             let lacking = around.sh_share + light.cut * around.map_share;
-            let specular = lacking * ggx_direct(f0, n, v, light.direction, highlight_alpha(roughness, light.tan_radius, footprint_sr));
+            let specular = lacking * highlight(weights, f0, n, v, light.direction, roughness, light.tan_radius, footprint_sr);
             radiance += light.irradiance * visibility_of_light(i, in.world, n) * (specular + weights.diffuse * cosine / PI);
         }
     }

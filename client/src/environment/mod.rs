@@ -1,5 +1,6 @@
 //! Video rate: the decoded picture on the GPU, and the reflection map made of it when something reflects.
 
+pub(crate) mod albedo;
 pub(crate) mod light;
 pub(crate) mod reflection;
 mod upload;

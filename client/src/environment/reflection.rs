@@ -6,7 +6,8 @@ use bytemuck::Zeroable;
 use mr360_shaders::layout;
 use mr360_shaders::source::Module;
 
-use super::light::{FrameLight, cut_radius};
+use super::albedo::AlbedoTable;
+use super::light::{FrameLight, map_cut};
 use super::{VideoKind, sampler_entry, texture_entry};
 use crate::gpu::{Gpu, GpuError};
 use crate::view::timing::PassTimer;
@@ -30,11 +31,11 @@ pub(super) struct ReflectionMap {
     mip_groups: Vec<wgpu::BindGroup>,
 }
 
-/// Layout of group 2: the map and its sampler.
+/// Layout of group 2: the map and its sampler, the lobe's albedo and its sampler.
 pub(crate) fn reflection_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
         label: Some("reflection"),
-        entries: &[texture_entry(0), sampler_entry(1)],
+        entries: &[texture_entry(0), sampler_entry(1), texture_entry(2), sampler_entry(3)],
     })
 }
 
@@ -67,6 +68,7 @@ impl ReflectionMap {
             mipmap_filter: wgpu::MipmapFilterMode::Linear,
             ..wgpu::SamplerDescriptor::default()
         });
+        let albedo = AlbedoTable::new(gpu);
         let all = texture.create_view(&wgpu::TextureViewDescriptor::default());
         let bind_group = device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("reflection"),
@@ -74,6 +76,8 @@ impl ReflectionMap {
             entries: &[
                 wgpu::BindGroupEntry { binding: 0, resource: wgpu::BindingResource::TextureView(&all) },
                 wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::Sampler(&sampler) },
+                wgpu::BindGroupEntry { binding: 2, resource: wgpu::BindingResource::TextureView(&albedo.view) },
+                wgpu::BindGroupEntry { binding: 3, resource: wgpu::BindingResource::Sampler(&albedo.sampler) },
             ],
         });
         let lift_layout = lift_layout(device);
@@ -176,10 +180,16 @@ fn lift_uniform(eye_width: u32, light: &FrameLight) -> layout::Lift {
         ..layout::Lift::zeroed()
     };
     let texel = std::f32::consts::TAU / WIDTH as f32;
-    let cut = light.lights.iter().filter_map(|light| Some((light.direction, cut_radius(light.solid_angle_sr)? + texel)));
-    for (slot, (direction, radius)) in uniform.lights.iter_mut().zip(cut) {
-        *slot = direction.extend(radius.cos()).to_array();
-        uniform.light_count += 1;
+    let cuts = light.lights.iter().map(|light| (light.direction, map_cut(light.solid_angle_sr))).filter(|(_, cut)| cut.share > 0.0);
+    for (slot, (direction, cut)) in uniform.cuts.iter_mut().zip(cuts) {
+        *slot = layout::Cut {
+            direction: direction.to_array(),
+            cos_inner: (cut.radius + 0.5 * texel).cos(),
+            cos_outer: (cut.radius + 1.5 * texel).cos(),
+            share: cut.share,
+            ..layout::Cut::zeroed()
+        };
+        uniform.cut_count += 1;
     }
     uniform
 }

@@ -5,6 +5,8 @@
 //! pixels have the same bits as with no object in the scene: the layer's samples are cleared to 0, and resolving
 //! averages zeros.
 
+#[cfg(test)]
+mod energy_tests;
 mod extent;
 mod models;
 mod pipelines;

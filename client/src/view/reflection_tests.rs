@@ -15,7 +15,7 @@ use crate::gpu::Gpu;
 use crate::picture::Picture;
 use crate::render::{Still, ambient_light};
 
-const SIDE: u32 = 440;
+pub(super) const SIDE: u32 = 440;
 /// Far and narrow: nearly an orthographic view.
 const FOV: f32 = 0.05;
 const DISTANCE_M: f32 = 100.0;
@@ -56,7 +56,7 @@ fn glass() -> Material {
 }
 
 /// A ball straight ahead, of this radius in pixels, far above any ground.
-fn draw(gpu: &Gpu, picture: &Picture, light: &LightFrame, material: Material, radius_px: f32) -> Vec<f32> {
+pub(super) fn draw(gpu: &Gpu, picture: &Picture, light: &LightFrame, material: Material, radius_px: f32) -> Vec<f32> {
     let metres_per_px = 2.0 * DISTANCE_M * (FOV / 2.0).tan() / SIDE as f32;
     let transform =
         Transform { position: Vec3::NEG_Z * DISTANCE_M, rotation: Quat::IDENTITY, scale: Vec3::splat(2.0 * radius_px * metres_per_px) };

@@ -13,7 +13,7 @@ use super::shadows::{Frustum, LONGEST_SHADOW_M, fit};
 use super::stage::Stage;
 use super::{MAX_VIEWS, View, view_uniform};
 use crate::environment::FrameLight;
-use crate::environment::light::{cut_radius, tan_radius};
+use crate::environment::light::{map_cut, tan_radius};
 use crate::gpu::Gpu;
 
 /// Bytes from one view's uniform to the next: WebGPU's alignment of dynamic offsets.
@@ -177,7 +177,7 @@ fn lighting(stage: &Stage, light: &FrameLight, frusta: &[Frustum]) -> layout::Li
             shadow_half_width_m: frustum.map_or(1.0, |f| f.half_width_m),
             shadow_range_m: frustum.map_or(1.0, |f| f.range_m),
             shadow_texel_m: frustum.map_or(1.0, |f| 2.0 * f.half_width_m / SHADOW_MAP_SIZE as f32),
-            cut: f32::from(u8::from(cut_radius(light.solid_angle_sr).is_some())),
+            cut: map_cut(light.solid_angle_sr).share,
         };
     }
     out
