@@ -16,6 +16,7 @@ use mr360_protocol::scene_file::SceneFile;
 use mr360_protocol::video::{StereoLayout, Transfer};
 use mr360_shaders::colour::decode_transfer;
 use mr360_shaders::project::project;
+use mr360_shaders::source::Reflections;
 use serde::Deserialize;
 
 use crate::Failure;
@@ -72,6 +73,14 @@ pub struct RenderArgs {
     /// Show the right eye's view of a stereo panorama.
     #[arg(long)]
     pub right_eye: bool,
+    /// How glossy surfaces look into the panorama: prefiltered maps, 36 samples a pixel (iorns) or 16 (taps).
+    #[arg(long, value_parser = parse_reflections, default_value = "prefiltered")]
+    pub reflections: Reflections,
+}
+
+fn parse_reflections(text: &str) -> Result<Reflections, String> {
+    let named = Reflections::ALL.into_iter().find(|(_, name)| *name == text);
+    named.map(|(method, _)| method).ok_or_else(|| Reflections::ALL.map(|(_, name)| name).join(" or "))
 }
 
 fn parse_stereo(text: &str) -> Result<StereoLayout, String> {
@@ -99,9 +108,9 @@ pub fn run(args: &RenderArgs) -> Result<(), Failure> {
     let Inputs { picture, light, scene, assets } = &inputs;
     let still = Still { gpu: &gpu, picture, light, scene, assets };
     // All is drawn before anything is written: a GPU that fails leaves no half of what was asked for.
-    let coded = (coded, still.draw(&camera, args.size, wgpu::TextureFormat::Rgba8UnormSrgb)?);
+    let coded = (coded, still.draw_by(args.reflections, &camera, args.size, wgpu::TextureFormat::Rgba8UnormSrgb)?);
     let linear = match linear {
-        Some(file) => Some((file, still.draw(&camera, args.size, wgpu::TextureFormat::Rgba32Float)?)),
+        Some(file) => Some((file, still.draw_by(args.reflections, &camera, args.size, wgpu::TextureFormat::Rgba32Float)?)),
         None => None,
     };
     save(args.size, coded, linear).map_err(Failure::Running)
@@ -179,6 +188,20 @@ impl Still<'_> {
     /// [`Failure::Input`] for a model that cannot be drawn, and for a panorama or a picture too large for the GPU; [`Failure::Running`] for a
     /// GPU that refuses or is lost.
     pub fn draw(&self, camera: &Camera, size: (u32, u32), format: wgpu::TextureFormat) -> Result<Vec<u8>, Failure> {
+        self.draw_by(Reflections::default(), camera, size, format)
+    }
+
+    /// As [`Still::draw`], with reflections looked up this way.
+    ///
+    /// # Errors
+    /// As [`Still::draw`].
+    pub fn draw_by(
+        &self,
+        reflections: Reflections,
+        camera: &Camera,
+        size: (u32, u32),
+        format: wgpu::TextureFormat,
+    ) -> Result<Vec<u8>, Failure> {
         let gpu = self.gpu;
         let largest = gpu.device.limits().max_texture_dimension_2d;
         if size.0.max(size.1) > largest {
@@ -187,7 +210,7 @@ impl Still<'_> {
         }
         let memory = gpu.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let validation = gpu.device.push_error_scope(wgpu::ErrorFilter::Validation);
-        let drawn = self.draw_checked(camera, size, format);
+        let drawn = self.draw_checked(reflections, camera, size, format);
         let fault = [block_on(validation.pop()), block_on(memory.pop())].into_iter().flatten().next();
         match fault {
             // The fault came first: what it left undone may have failed in turn.
@@ -196,12 +219,19 @@ impl Still<'_> {
         }
     }
 
-    fn draw_checked(&self, camera: &Camera, size: (u32, u32), format: wgpu::TextureFormat) -> Result<Vec<u8>, Failure> {
+    fn draw_checked(
+        &self,
+        reflections: Reflections,
+        camera: &Camera,
+        size: (u32, u32),
+        format: wgpu::TextureFormat,
+    ) -> Result<Vec<u8>, Failure> {
         let gpu = self.gpu;
         let mut environment = Environment::new(gpu).map_err(running)?;
         environment.upload(gpu, self.picture).map_err(|error| Failure::Input(error.into()))?;
         let mut renderer = Renderer::new(gpu, format).map_err(running)?;
         renderer.set_light(self.light);
+        renderer.set_reflections(reflections);
         if let Some(warning) = renderer.set_scene(gpu, self.scene, &|id| self.assets.get(&id).cloned().map(Ok)).into_iter().next() {
             return Err(Failure::Input(warning.into()));
         }

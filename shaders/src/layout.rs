@@ -6,6 +6,7 @@ use bytemuck::{Pod, Zeroable};
 use mr360_protocol::light;
 
 use crate::colour::recovery_tint;
+use crate::lobe::MAX_TAPS;
 
 /// Most lights that shade a surface one by one.
 pub const SHADED_LIGHTS: usize = 8;
@@ -181,12 +182,28 @@ pub struct Lift {
     pub sh: [[f32; 4]; 25],
     /// Those to be cut out.
     pub cuts: [Cut; SHADED_LIGHTS],
-    /// Texels.
-    pub size_px: [u32; 2],
+    /// Texels along one side of a face.
+    pub size_px: u32,
     /// Along one side of a texel.
     pub samples: u32,
     /// Lights to be cut out.
     pub cut_count: u32,
+    /// Unused.
+    pub padding: u32,
+}
+
+/// `Prefilter`: how one level of the prefiltered maps is made.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+pub struct Prefilter {
+    /// Direction around a lobe along z, and mip level.
+    pub taps: [[f32; 4]; MAX_TAPS],
+    /// Taps in use.
+    pub count: u32,
+    /// Texels along one side of a face.
+    pub size_px: u32,
+    /// Unused.
+    pub padding: [u32; 2],
 }
 
 /// `Cut`: where a light is taken out of the reflection map, and how much of it.
@@ -363,7 +380,8 @@ mod tests {
         mirrors!(Object, Instance { world_from_object, normal_from_object, base_color, roughness, metallic, glass, object, padding });
         mirrors!(Object, Video { rgb_from_yuv, bt709_from_primaries, eye_rect, yuv_offset, chroma_shift_u, recovery });
         mirrors!(Object, Recovery { slope, gain_ln, tint, padding });
-        mirrors!(EnvironmentLift, Lift { sh, cuts, size_px, samples, cut_count });
+        mirrors!(EnvironmentLift, Lift { sh, cuts, size_px, samples, cut_count, padding });
+        mirrors!(EnvironmentPrefilter, Prefilter { taps, count, size_px, padding });
         mirrors!(EnvironmentLift, Cut { direction, cos_inner, cos_outer, share, padding });
         mirrors!(Caster, Caster { clip_from_world });
         mirrors!(Probe, Probe { direction, transfer, code, lift, bt709_from_primaries, recovery });

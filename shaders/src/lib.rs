@@ -7,6 +7,7 @@ pub mod brdf;
 pub mod colour;
 pub mod equirect;
 pub mod layout;
+pub mod lobe;
 pub mod project;
 pub mod sh;
 pub mod source;

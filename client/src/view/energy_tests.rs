@@ -201,7 +201,7 @@ fn a_furnace_of_lights_stays_white_in_the_picture() {
         (x - SIDE as f32 / 2.0).hypot(y - SIDE as f32 / 2.0) < radius_px - 2.0
     };
     for metallic in [0.0, 1.0] {
-        for roughness in [0.2, 0.5, 0.8, 1.0] {
+        for roughness in [0.3, 0.5, 0.8, 1.0] {
             let material = Material { base_color: [1.0; 3], roughness, metallic, ..Material::default() };
             let mean = |light: &LightFrame| {
                 let drawn = draw(&gpu, &picture, light, material, radius_px);

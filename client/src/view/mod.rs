@@ -8,6 +8,8 @@
 #[cfg(test)]
 mod energy_tests;
 mod extent;
+#[cfg(test)]
+mod glass_tests;
 mod models;
 mod pipelines;
 pub mod plan;
@@ -27,6 +29,7 @@ use mr360_protocol::asset::AssetId;
 use mr360_protocol::light::LightFrame;
 use mr360_protocol::scene::{ObjectId, Scene};
 use mr360_shaders::layout;
+use mr360_shaders::source::{Reflections, Surface};
 
 use crate::camera::Camera;
 use crate::environment::{Environment, FrameLight};
@@ -48,7 +51,7 @@ use stage::Stage;
 use timing::PassTimer;
 
 /// Passes that a frame may have, in order.
-pub const PASSES: [&str; 7] = ["shadow 1", "shadow 2", "shadow 3", "shadow 4", "reflections", "objects", "composite"];
+pub const PASSES: [&str; 8] = ["shadow 1", "shadow 2", "shadow 3", "shadow 4", "reflections", "objects", "glass", "composite"];
 
 /// Most views of one frame.
 pub const MAX_VIEWS: usize = 4;
@@ -86,6 +89,7 @@ pub struct Renderer {
     light: FrameLight,
     light_changed: bool,
     visible: bool,
+    reflections: Reflections,
     layers: Vec<Layer>,
     timer: PassTimer,
 }
@@ -103,7 +107,9 @@ impl Renderer {
         let models = Models::new(gpu, &layouts.material);
         let timer = PassTimer::new(gpu);
         let (stage, light) = (Stage::default(), FrameLight::default());
-        Ok(Self { layouts, pipelines, resources, models, stage, light, light_changed: true, visible: true, layers: Vec::new(), timer })
+        let reflections = Reflections::default();
+        let layers = Vec::new();
+        Ok(Self { layouts, pipelines, resources, models, stage, light, light_changed: true, visible: true, reflections, layers, timer })
     }
 
     /// Shows this scene from the next frame on. Geometry stays on the GPU while some object shows it. `model` gives
@@ -120,6 +126,11 @@ impl Renderer {
     /// Shows or hides all objects from the next frame on. Hidden ones stay on the GPU and cannot be picked.
     pub fn set_visible(&mut self, visible: bool) {
         self.visible = visible;
+    }
+
+    /// Looks reflections up this way from the next frame on.
+    pub fn set_reflections(&mut self, method: Reflections) {
+        self.reflections = method;
     }
 
     /// Takes the light that belongs to the environment's picture.
@@ -150,14 +161,14 @@ impl Renderer {
             environment.set_light(gpu, &self.light);
         }
         if plan.reflections {
-            environment.refresh_reflections(gpu, encoder, &self.light, &mut self.timer);
+            environment.refresh_reflections(gpu, encoder, &self.light, self.reflections, &mut self.timer);
         }
         let frusta: Vec<Frustum> =
             self.light.lights.iter().take(plan.shadows).map(|light| self.resources.frustum(light, &self.stage)).collect();
         self.resources.write_frame(gpu, &self.stage, &self.light, &frusta);
         let mut report = FrameReport { plan, ..FrameReport::default() };
         self.draw_shadows(encoder, frusta.len(), &mut report);
-        let kind = Kind { video: environment.kind(), sh_count: self.light.sh_count };
+        let kind = Kind { video: environment.kind(), sh_count: self.light.sh_count, reflections: self.reflections };
         self.prepare(gpu, kind, plan);
         let ground = self.stage.changed_ground(&self.light, frusta.len());
         for (at, view) in views.iter().enumerate() {
@@ -166,8 +177,11 @@ impl Renderer {
             let part = if plan.objects { touched(&view.camera, view.size, &self.stage, ground) } else { None };
             self.resources.write_view(gpu, at, view, part.unwrap_or_default());
             if let Some(part) = part {
-                self.make_layer(gpu, at, part);
+                self.make_layer(gpu, at, part, plan.glass);
                 self.draw_layer(encoder, environment, kind, (at, view, part), ground.is_some(), &mut report);
+                if plan.glass {
+                    self.draw_glass(gpu, encoder, environment, kind, (at, view, part), &mut report);
+                }
             }
             self.composite(encoder, environment, kind, (at, view), part.is_some(), &mut report);
         }
@@ -179,26 +193,29 @@ impl Renderer {
     /// Makes what pipelines this frame needs and earlier ones did not.
     fn prepare(&mut self, gpu: &Gpu, kind: Kind, plan: Plan) {
         let objects = self.stage.draws.iter().map(object_use);
-        let others = [(Use::Composite, true), (Use::Ground, plan.objects), (Use::Horizon, plan.ground_hides)];
+        let others = [(Use::Composite, true), (Use::Ground, plan.objects), (Use::Horizon, plan.ground_hides), (Use::GlassBack, plan.glass)];
         for what in objects.chain(others.into_iter().filter_map(|(what, needed)| needed.then_some(what))) {
             self.pipelines.prepare(gpu, &self.layouts, kind, what);
         }
     }
 
     /// The layer's targets, kept while they hold the part and are not far too large for it.
-    fn make_layer(&mut self, gpu: &Gpu, at: usize, part: Part) {
+    fn make_layer(&mut self, gpu: &Gpu, at: usize, part: Part, glass: bool) {
         let fits = |layer: &Layer| {
             let ((width, height), (wide, high)) = (part.size, layer.size);
-            wide >= width && high >= height && u64::from(wide) * u64::from(high) <= 2 * u64::from(width) * u64::from(height)
+            layer.glass.is_some() == glass
+                && wide >= width
+                && high >= height
+                && u64::from(wide) * u64::from(high) <= 2 * u64::from(width) * u64::from(height)
         };
         if let Some(layer) = self.layers.get_mut(at) {
             if !fits(layer) {
-                *layer = Layer::new(&gpu.device, &self.layouts.layer, part.size);
+                *layer = Layer::new(&gpu.device, &self.layouts.layer, part.size, glass);
             }
         } else {
             // Views before this one may have had nothing to draw.
             while self.layers.len() <= at {
-                self.layers.push(Layer::new(&gpu.device, &self.layouts.layer, part.size));
+                self.layers.push(Layer::new(&gpu.device, &self.layouts.layer, part.size, glass));
             }
         }
     }
@@ -215,7 +232,8 @@ impl Renderer {
             pass.set_pipeline(&self.pipelines.caster);
             pass.set_bind_group(0, &self.resources.caster_instances, &[]);
             pass.set_bind_group(1, &self.resources.caster_views, &[at as u32 * VIEW_STRIDE]);
-            for draw in &self.stage.draws {
+            // Light passes through glass.
+            for draw in self.stage.draws.iter().filter(|draw| draw.surface != Surface::Glass) {
                 if let Some(Ok(model)) = self.models.get(&draw.geometry)
                     && let Some(part) = model.parts.get(draw.part)
                 {
@@ -238,26 +256,28 @@ impl Renderer {
     ) {
         const NAMES: [&str; MAX_VIEWS] = ["objects", "objects, view 2", "objects, view 3", "objects, view 4"];
         let Some(layer) = self.layers.get(at) else { return };
+        // Glass goes over the samples of what was drawn, and sees them resolved.
+        let (resolved, store) = match &layer.glass {
+            Some(glass) => (&glass.drawn, wgpu::StoreOp::Store),
+            None => (&layer.resolved, wgpu::StoreOp::Discard),
+        };
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some(NAMES[at]),
             color_attachments: &[Some(wgpu::RenderPassColorAttachment {
                 view: &layer.samples,
                 depth_slice: None,
-                resolve_target: Some(&layer.resolved),
-                ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT), store: wgpu::StoreOp::Discard },
+                resolve_target: Some(resolved),
+                ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT), store },
             })],
-            depth_stencil_attachment: Some(depth_attachment(&layer.depth, 0.0, wgpu::StoreOp::Discard)),
+            depth_stencil_attachment: Some(depth_attachment(&layer.depth, 0.0, store)),
             timestamp_writes: self.timer.pass(NAMES[at]),
             ..wgpu::RenderPassDescriptor::default()
         });
-        // The layer is a window into the image.
-        let (x, y) = (part.origin.0 as f32, part.origin.1 as f32);
-        pass.set_viewport(-x, -y, view.size.0.max(1) as f32, view.size.1.max(1) as f32, 0.0, 1.0);
-        pass.set_scissor_rect(0, 0, part.size.0, part.size.1);
+        look_into(&mut pass, view, part);
         pass.set_bind_group(0, &self.resources.frame, &[at as u32 * VIEW_STRIDE]);
         pass.set_bind_group(1, environment.bind_group(), &[]);
         pass.set_bind_group(2, environment.reflection_bind_group(), &[]);
-        for draw in &self.stage.draws {
+        for draw in self.stage.draws.iter().filter(|draw| draw.surface != Surface::Glass) {
             let Some(Ok(model)) = self.models.get(&draw.geometry) else { continue };
             let Some(part) = model.parts.get(draw.part) else { continue };
             let Some(pipeline) = self.pipelines.get(kind, object_use(draw)) else { continue };
@@ -274,6 +294,69 @@ impl Renderer {
             if let Some(pipeline) = self.pipelines.get(kind, what) {
                 pass.set_pipeline(pipeline);
                 pass.draw(0..4, 0..1);
+                report.draws += 1;
+            }
+        }
+    }
+
+    /// Glass over the layer: its far sides first, then its near ones, which see them and all that was drawn before.
+    fn draw_glass(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        environment: &Environment,
+        kind: Kind,
+        (at, view, part): (usize, &View<'_>, Part),
+        report: &mut FrameReport,
+    ) {
+        const NAMES: [&str; MAX_VIEWS] = ["glass", "glass, view 2", "glass, view 3", "glass, view 4"];
+        let Some(layer) = self.layers.get(at) else { return };
+        let Some(glass) = &layer.glass else { return };
+        let draws: Vec<_> = self.stage.draws.iter().filter(|draw| draw.surface == Surface::Glass).collect();
+        let offset = [at as u32 * VIEW_STRIDE];
+        layer.keep_depth(encoder, glass);
+        let group = self.resources.glass_group(gpu, &self.layouts, glass);
+        let back = (&glass.back, None, wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT), wgpu::StoreOp::Store);
+        let front = (&layer.samples, Some(&layer.resolved), wgpu::LoadOp::Load, wgpu::StoreOp::Discard);
+        let depths = [
+            depth_attachment(&glass.back_depth, 0.0, wgpu::StoreOp::Discard),
+            wgpu::RenderPassDepthStencilAttachment {
+                depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Load, store: wgpu::StoreOp::Discard }),
+                ..depth_attachment(&layer.depth, 0.0, wgpu::StoreOp::Discard)
+            },
+        ];
+        for (far, ((target, resolve_target, load, store), depth)) in [true, false].into_iter().zip([back, front].into_iter().zip(depths)) {
+            let timestamp_writes = if far { self.timer.begin(NAMES[at]) } else { self.timer.end() };
+            let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+                label: Some(NAMES[at]),
+                color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                    view: target,
+                    depth_slice: None,
+                    resolve_target,
+                    ops: wgpu::Operations { load, store },
+                })],
+                depth_stencil_attachment: Some(depth),
+                timestamp_writes,
+                ..wgpu::RenderPassDescriptor::default()
+            });
+            look_into(&mut pass, view, part);
+            if far {
+                pass.set_bind_group(0, &self.resources.frame, &offset);
+            } else {
+                pass.set_bind_group(0, &group, &offset);
+                pass.set_bind_group(1, environment.bind_group(), &[]);
+                pass.set_bind_group(2, environment.reflection_bind_group(), &[]);
+            }
+            for draw in &draws {
+                let Some(Ok(model)) = self.models.get(&draw.geometry) else { continue };
+                let Some(part) = model.parts.get(draw.part) else { continue };
+                let what = if far { Use::GlassBack } else { object_use(draw) };
+                let Some(pipeline) = self.pipelines.get(kind, what) else { continue };
+                pass.set_pipeline(pipeline);
+                if !far {
+                    pass.set_bind_group(3, if draw.textured { &part.material } else { self.models.plain() }, &[]);
+                }
+                draw_part(&mut pass, part, draw);
                 report.draws += 1;
             }
         }
@@ -316,7 +399,17 @@ fn depth_attachment(view: &wgpu::TextureView, clear: f32, store: wgpu::StoreOp) 
     wgpu::RenderPassDepthStencilAttachment { view, depth_ops, stencil_ops: None }
 }
 
+/// The layer is a window into the image.
+fn look_into(pass: &mut wgpu::RenderPass<'_>, view: &View<'_>, part: Part) {
+    let (x, y) = (part.origin.0 as f32, part.origin.1 as f32);
+    pass.set_viewport(-x, -y, view.size.0.max(1) as f32, view.size.1.max(1) as f32, 0.0, 1.0);
+    pass.set_scissor_rect(0, 0, part.size.0, part.size.1);
+}
+
 fn object_use(draw: &stage::Draw) -> Use {
+    if draw.surface == Surface::Glass {
+        return Use::Glass { textured: draw.textured };
+    }
     Use::Object { surface: draw.surface, textured: draw.textured, double_sided: draw.double_sided }
 }
 

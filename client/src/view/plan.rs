@@ -21,6 +21,8 @@ pub struct Plan {
     pub shadows: usize,
     /// Something reaches beneath the ground and has to be hidden there.
     pub ground_hides: bool,
+    /// Something is of glass and is drawn after all else, which it shows.
+    pub glass: bool,
 }
 
 /// What the plan asks of the scene.
@@ -32,6 +34,8 @@ pub struct SceneNeeds {
     pub reflective: bool,
     /// Some object reaches beneath the ground.
     pub beneath_ground: bool,
+    /// Some surface is glass.
+    pub glass: bool,
 }
 
 impl Plan {
@@ -45,7 +49,7 @@ impl Plan {
         let shares: Vec<f32> = light.lights.iter().map(|light| luminance(light.irradiance).max(0.0)).collect();
         let total = ambient + shares.iter().sum::<f32>();
         let shadows = shares.iter().take(MAX_SHADOWS).take_while(|share| **share > 0.0 && **share >= SHADOW_SHARE * total).count();
-        Self { objects: true, reflections: scene.reflective, shadows, ground_hides: scene.beneath_ground }
+        Self { objects: true, reflections: scene.reflective, shadows, ground_hides: scene.beneath_ground, glass: scene.glass }
     }
 }
 
@@ -80,6 +84,8 @@ mod tests {
         assert_eq!(Plan::new(needs, &light(&[])), Plan { objects: true, ..Plan::default() });
         let mirror = SceneNeeds { reflective: true, ..needs };
         assert_eq!(Plan::new(mirror, &light(&[])), Plan { objects: true, reflections: true, ..Plan::default() });
+        let glass = SceneNeeds { glass: true, ..mirror };
+        assert_eq!(Plan::new(glass, &light(&[])), Plan { objects: true, reflections: true, glass: true, ..Plan::default() });
         assert_eq!(Plan::new(SceneNeeds::default(), &light(&[5.0])), Plan::default());
     }
 

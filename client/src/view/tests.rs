@@ -6,7 +6,7 @@ use std::f32::consts::PI;
 use glam::{Quat, Vec2, Vec3};
 use half::f16;
 use mr360_protocol::light::{DirectionalLight, Lift, LightFrame};
-use mr360_protocol::scene::{Geometry, Material, Object, Scene, Shape, Transform};
+use mr360_protocol::scene::{Geometry, Material, MaterialKind, Object, Scene, Shape, Transform};
 use mr360_protocol::video::{Colour, StereoLayout, Transfer};
 use mr360_shaders::colour::{rgb_from_yuv, srgb_encode};
 use mr360_shaders::equirect::{direction_from_uv, uv_from_direction};
@@ -15,7 +15,7 @@ use super::*;
 use crate::picture::{Picture, Plane, Samples};
 use crate::render::{Still, ambient_light};
 
-const SIZE: (u32, u32) = (160, 90);
+pub(super) const SIZE: (u32, u32) = (160, 90);
 
 pub(super) fn panorama(width: u32, height: u32, radiance: impl Fn(Vec3) -> Vec3) -> Picture {
     let texel = |i: u32| {
@@ -28,12 +28,12 @@ pub(super) fn panorama(width: u32, height: u32, radiance: impl Fn(Vec3) -> Vec3)
     Picture { pts_us: 0, width, height, stereo: StereoLayout::Mono, samples }
 }
 
-fn object(id: u32, shape: Shape, position: Vec3, scale: f32, material: Material) -> Object {
+pub(super) fn object(id: u32, shape: Shape, position: Vec3, scale: f32, material: Material) -> Object {
     let transform = Transform { position, rotation: Quat::IDENTITY, scale: Vec3::splat(scale) };
     Object { id: ObjectId(id), geometry: Geometry::Shape(shape), transform, material: Some(material) }
 }
 
-fn scene(objects: Vec<Object>) -> Scene {
+pub(super) fn scene(objects: Vec<Object>) -> Scene {
     Scene { ground_y: -1.6, objects, ..Scene::default() }
 }
 
@@ -50,24 +50,24 @@ fn mirror() -> Material {
 }
 
 /// Looks down a little, so that ball and ground are both in view.
-fn camera() -> Camera {
+pub(super) fn camera() -> Camera {
     Camera::looking(0.0, -0.25, 0.9)
 }
 
-fn draw(gpu: &Gpu, picture: &Picture, light: &LightFrame, scene: &Scene, camera: &Camera) -> Vec<Vec3> {
+pub(super) fn draw(gpu: &Gpu, picture: &Picture, light: &LightFrame, scene: &Scene, camera: &Camera) -> Vec<Vec3> {
     let still = Still { gpu, picture, light, scene, assets: &HashMap::new() };
     let bytes = still.draw(camera, SIZE, wgpu::TextureFormat::Rgba32Float).unwrap();
     bytemuck::pod_collect_to_vec::<u8, f32>(&bytes).chunks_exact(4).map(|t| Vec3::new(t[0], t[1], t[2])).collect()
 }
 
-fn ray_of(camera: &Camera, index: usize) -> Vec3 {
+pub(super) fn ray_of(camera: &Camera, index: usize) -> Vec3 {
     let (x, y) = (index as u32 % SIZE.0, index as u32 / SIZE.0);
     let ndc = Vec2::new((x as f32 + 0.5) / SIZE.0 as f32 * 2.0 - 1.0, 1.0 - (y as f32 + 0.5) / SIZE.1 as f32 * 2.0);
     camera.ray(ndc, SIZE.0 as f32 / SIZE.1 as f32)
 }
 
 /// Index of the pixel that shows a point.
-fn pixel_of(camera: &Camera, point: Vec3) -> usize {
+pub(super) fn pixel_of(camera: &Camera, point: Vec3) -> usize {
     let aspect = SIZE.0 as f32 / SIZE.1 as f32;
     let at = (camera.clip_from_view(aspect) * camera.view_from_world()).project_point3(point);
     let (x, y) = ((at.x * 0.5 + 0.5) * SIZE.0 as f32, (0.5 - at.y * 0.5) * SIZE.1 as f32);
@@ -78,7 +78,7 @@ fn worst(a: &[Vec3], b: &[Vec3]) -> f32 {
     a.iter().zip(b).map(|(a, b)| (*a - *b).abs().max_element()).fold(0.0, f32::max)
 }
 
-fn sun(direction: Vec3, irradiance: f32) -> DirectionalLight {
+pub(super) fn sun(direction: Vec3, irradiance: f32) -> DirectionalLight {
     DirectionalLight { id: 1, direction: direction.normalize(), irradiance: Vec3::splat(irradiance), solid_angle_sr: 6.8e-5 }
 }
 
@@ -335,6 +335,8 @@ fn diffuse_objects_without_lights_run_two_passes() {
     };
     assert_eq!(names(diffuse(0.8), vec![]), ["objects", "composite"]);
     assert_eq!(names(mirror(), vec![]), ["reflections", "objects", "composite"]);
+    let glass = Material { kind: MaterialKind::Glass, ..mirror() };
+    assert_eq!(names(glass, vec![]), ["reflections", "objects", "glass", "composite"]);
     assert_eq!(names(diffuse(0.8), vec![sun(Vec3::Y, 2.0)]), ["shadow 1", "objects", "composite"]);
 }
 
