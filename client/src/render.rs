@@ -18,6 +18,7 @@ use mr360_protocol::scene_file::SceneFile;
 use mr360_protocol::video::{StereoLayout, Transfer};
 use mr360_shaders::colour::decode_transfer;
 use mr360_shaders::project::project;
+use mr360_shaders::source::Reflections;
 use serde::Deserialize;
 
 use crate::Failure;
@@ -83,6 +84,14 @@ pub struct RenderArgs {
     /// Show the right eye's view of a stereo panorama.
     #[arg(long)]
     pub right_eye: bool,
+    /// How glossy surfaces look into the panorama: prefiltered maps, 36 samples a pixel (iorns) or 16 (taps).
+    #[arg(long, value_parser = parse_reflections, default_value = "prefiltered")]
+    pub reflections: Reflections,
+}
+
+fn parse_reflections(text: &str) -> Result<Reflections, String> {
+    let named = Reflections::ALL.into_iter().find(|(_, name)| *name == text);
+    named.map(|(method, _)| method).ok_or_else(|| Reflections::ALL.map(|(_, name)| name).join(" or "))
 }
 
 fn parse_stereo(text: &str) -> Result<StereoLayout, String> {
@@ -112,13 +121,17 @@ pub fn run(args: &RenderArgs) -> Result<(), Failure> {
     let Inputs { picture, light, scene, assets } = &inputs;
     let still = Still { gpu: &gpu, picture, light, scene, assets };
     // All is drawn before anything is written: a GPU that fails leaves no half of what was asked for.
-    let coded = (coded, still.draw(&camera, args.size, wgpu::TextureFormat::Rgba8UnormSrgb)?);
+    let coded = (coded, still.draw_by(args.reflections, &camera, args.size, wgpu::TextureFormat::Rgba8UnormSrgb)?);
     let linear = match linear {
-        Some(file) => Some((file, still.draw(&camera, args.size, wgpu::TextureFormat::Rgba32Float)?)),
+        Some(file) => Some((file, still.draw_by(args.reflections, &camera, args.size, wgpu::TextureFormat::Rgba32Float)?)),
         None => None,
     };
     if let Some(mut file) = passes {
-        let rows: String = still.time_passes(&camera, args.size)?.iter().map(|pass| format!("{},{}\n", pass.name, pass.gpu_ms)).collect();
+        let rows: String = still
+            .time_passes(args.reflections, &camera, args.size)?
+            .iter()
+            .map(|pass| format!("{},{}\n", pass.name, pass.gpu_ms))
+            .collect();
         file.write_all(format!("pass,gpu_ms\n{rows}").as_bytes()).context("--passes: cannot be written").map_err(Failure::Running)?;
     }
     save(args.size, coded, linear).map_err(Failure::Running)
@@ -196,6 +209,20 @@ impl Still<'_> {
     /// [`Failure::Input`] for a model that cannot be drawn, and for a panorama or a picture too large for the GPU; [`Failure::Running`] for a
     /// GPU that refuses or is lost.
     pub fn draw(&self, camera: &Camera, size: (u32, u32), format: wgpu::TextureFormat) -> Result<Vec<u8>, Failure> {
+        self.draw_by(Reflections::default(), camera, size, format)
+    }
+
+    /// As [`Still::draw`], with reflections looked up this way.
+    ///
+    /// # Errors
+    /// As [`Still::draw`].
+    pub fn draw_by(
+        &self,
+        reflections: Reflections,
+        camera: &Camera,
+        size: (u32, u32),
+        format: wgpu::TextureFormat,
+    ) -> Result<Vec<u8>, Failure> {
         let gpu = self.gpu;
         let largest = gpu.device.limits().max_texture_dimension_2d;
         if size.0.max(size.1) > largest {
@@ -204,7 +231,7 @@ impl Still<'_> {
         }
         let memory = gpu.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let validation = gpu.device.push_error_scope(wgpu::ErrorFilter::Validation);
-        let drawn = self.draw_checked(camera, size, format);
+        let drawn = self.draw_checked(reflections, camera, size, format);
         let fault = [block_on(validation.pop()), block_on(memory.pop())].into_iter().flatten().next();
         match fault {
             // The fault came first: what it left undone may have failed in turn.
@@ -214,21 +241,28 @@ impl Still<'_> {
     }
 
     /// The panorama on the GPU, and a renderer that has light and scene.
-    fn set_up(&self, format: wgpu::TextureFormat) -> Result<(Environment, Renderer), Failure> {
+    fn set_up(&self, reflections: Reflections, format: wgpu::TextureFormat) -> Result<(Environment, Renderer), Failure> {
         let gpu = self.gpu;
         let mut environment = Environment::new(gpu).map_err(running)?;
         environment.upload(gpu, self.picture).map_err(|error| Failure::Input(error.into()))?;
         let mut renderer = Renderer::new(gpu, format).map_err(running)?;
         renderer.set_light(self.light);
+        renderer.set_reflections(reflections);
         if let Some(warning) = renderer.set_scene(gpu, self.scene, &|id| self.assets.get(&id).cloned().map(Ok)).into_iter().next() {
             return Err(Failure::Input(warning.into()));
         }
         Ok((environment, renderer))
     }
 
-    fn draw_checked(&self, camera: &Camera, size: (u32, u32), format: wgpu::TextureFormat) -> Result<Vec<u8>, Failure> {
+    fn draw_checked(
+        &self,
+        reflections: Reflections,
+        camera: &Camera,
+        size: (u32, u32),
+        format: wgpu::TextureFormat,
+    ) -> Result<Vec<u8>, Failure> {
         let gpu = self.gpu;
-        let (mut environment, mut renderer) = self.set_up(format)?;
+        let (mut environment, mut renderer) = self.set_up(reflections, format)?;
         let target = target(gpu, size, format);
         let view = target.create_view(&wgpu::TextureViewDescriptor::default());
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
@@ -243,9 +277,9 @@ impl Still<'_> {
     ///
     /// # Errors
     /// As [`Still::draw`], and [`Failure::Running`] for a GPU that cannot time its passes.
-    pub fn time_passes(&self, camera: &Camera, size: (u32, u32)) -> Result<Vec<PassTime>, Failure> {
+    pub fn time_passes(&self, reflections: Reflections, camera: &Camera, size: (u32, u32)) -> Result<Vec<PassTime>, Failure> {
         let (gpu, format) = (self.gpu, wgpu::TextureFormat::Rgba8UnormSrgb);
-        let (mut environment, mut renderer) = self.set_up(format)?;
+        let (mut environment, mut renderer) = self.set_up(reflections, format)?;
         let view = target(gpu, size, format).create_view(&wgpu::TextureViewDescriptor::default());
         let mut light = self.light.clone();
         let mut frames = Vec::with_capacity(TIMED_FRAMES);

@@ -102,15 +102,24 @@ impl Default for FileScale {
 #[serde(deny_unknown_fields, default)]
 struct FileMaterial {
     base_color: [f32; 3],
-    roughness: f32,
+    roughness: Option<f32>,
     metallic: f32,
     kind: MaterialKind,
 }
 
 impl Default for FileMaterial {
     fn default() -> Self {
-        let Material { base_color, roughness, metallic, kind } = Material::default();
-        Self { base_color, roughness, metallic, kind }
+        let Material { base_color, metallic, kind, .. } = Material::default();
+        Self { base_color, roughness: None, metallic, kind }
+    }
+}
+
+impl From<FileMaterial> for Material {
+    /// Glass is clear unless the file says otherwise; all else is matt.
+    fn from(file: FileMaterial) -> Self {
+        let FileMaterial { base_color, roughness, metallic, kind } = file;
+        let unsaid = if kind == MaterialKind::Glass { 0.0 } else { Self::default().roughness };
+        Self { base_color, roughness: roughness.unwrap_or(unsaid), metallic, kind }
     }
 }
 
@@ -242,9 +251,7 @@ fn check(object: FileObject, folder: &Path) -> Result<(FileGeometry, Transform, 
             FileScale::Axes(scale) => Vec3::from_array(scale),
         },
     };
-    let material =
-        object.material.map(|m| Material { base_color: m.base_color, roughness: m.roughness, metallic: m.metallic, kind: m.kind });
-    let material = material.or(match geometry {
+    let material = object.material.map(Material::from).or(match geometry {
         FileGeometry::Shape(_) => Some(Material::default()),
         FileGeometry::Model(_) => None,
     });
@@ -295,6 +302,17 @@ mod tests {
         assert_eq!(scene.objects[1].material, None);
         // A quarter turn about +y takes −z to −x.
         assert!((scene.objects[1].transform.rotation * -Vec3::Z - -Vec3::X).length() < 1e-6);
+    }
+
+    #[test]
+    fn glass_is_clear_and_all_else_matt_unless_the_file_says_otherwise() {
+        let roughness = |material: &str| {
+            let file = parse(&format!("ground_y = 0.0\n[[object]]\nshape = \"cube\"\nmaterial = {{ {material} }}")).unwrap();
+            file.resolve(|_| Err::<AssetId, String>("no models".to_owned())).unwrap().objects[0].material.unwrap().roughness
+        };
+        assert_eq!(roughness("kind = \"glass\""), 0.0);
+        assert_eq!(roughness("kind = \"glass\", roughness = 0.4"), 0.4);
+        assert_eq!(roughness("metallic = 0.5"), Material::default().roughness);
     }
 
     #[test]

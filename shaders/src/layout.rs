@@ -6,6 +6,7 @@ use bytemuck::{Pod, Zeroable};
 use mr360_protocol::light;
 
 use crate::colour::recovery_tint;
+use crate::lobe::MAX_TAPS;
 
 /// Most lights that shade a surface one by one.
 pub const SHADED_LIGHTS: usize = 8;
@@ -56,7 +57,7 @@ pub struct Light {
     pub shadow_range_m: f32,
     /// Metres.
     pub shadow_texel_m: f32,
-    /// 1 where the reflection map is without the light, 0 where it holds it.
+    /// Share of the light that the reflection map is without.
     pub cut: f32,
 }
 
@@ -179,14 +180,46 @@ impl From<light::Lift> for Recovery {
 pub struct Lift {
     /// RGB and a pad.
     pub sh: [[f32; 4]; 25],
-    /// Those to be cut out: direction and cosine of half the cone.
-    pub lights: [[f32; 4]; SHADED_LIGHTS],
-    /// Texels.
-    pub size_px: [u32; 2],
+    /// Those to be cut out.
+    pub cuts: [Cut; SHADED_LIGHTS],
+    /// Texels along one side of a face.
+    pub size_px: u32,
     /// Along one side of a texel.
     pub samples: u32,
     /// Lights to be cut out.
-    pub light_count: u32,
+    pub cut_count: u32,
+    /// Unused.
+    pub padding: u32,
+}
+
+/// `Prefilter`: how one level of the prefiltered maps is made.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+pub struct Prefilter {
+    /// Direction around a lobe along z, and mip level.
+    pub taps: [[f32; 4]; MAX_TAPS],
+    /// Taps in use.
+    pub count: u32,
+    /// Texels along one side of a face.
+    pub size_px: u32,
+    /// Unused.
+    pub padding: [u32; 2],
+}
+
+/// `Cut`: where a light is taken out of the reflection map, and how much of it.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub struct Cut {
+    /// Unit vector towards the light.
+    pub direction: [f32; 3],
+    /// Cosine of the half angle within which all of the share is taken.
+    pub cos_inner: f32,
+    /// Cosine of the half angle from which nothing is taken.
+    pub cos_outer: f32,
+    /// In [0, 1].
+    pub share: f32,
+    /// Unused.
+    pub padding: [f32; 2],
 }
 
 /// `Caster`: one light's view of the objects.
@@ -247,6 +280,42 @@ pub struct ProbeResult {
     pub lifted: [f32; 3],
     /// Unused.
     pub padding_2: f32,
+}
+
+/// `BrdfProbe`: a surface, a view and a light, in the surface's frame with the normal along z.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub struct BrdfProbe {
+    /// Unit.
+    pub view: [f32; 3],
+    /// Perceptual.
+    pub roughness: f32,
+    /// Unit.
+    pub light: [f32; 3],
+    /// Tangent of half the light's cone.
+    pub tan_radius: f32,
+    /// Linear.
+    pub albedo: [f32; 3],
+    /// In [0, 1].
+    pub metallic: f32,
+}
+
+/// `BrdfResult`: what the surface reflects.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub struct BrdfResult {
+    /// Radiance in the lobe, of a light of unit irradiance.
+    pub specular: [f32; 3],
+    /// Unused.
+    pub padding: f32,
+    /// All radiance, of a light of unit irradiance.
+    pub direct: [f32; 3],
+    /// Unused.
+    pub padding_2: f32,
+    /// Radiance, of radiance 1 from everywhere.
+    pub ambient: [f32; 3],
+    /// Unused.
+    pub padding_3: f32,
 }
 
 #[cfg(test)]
@@ -311,9 +380,13 @@ mod tests {
         mirrors!(Object, Instance { world_from_object, normal_from_object, base_color, roughness, metallic, glass, object, padding });
         mirrors!(Object, Video { rgb_from_yuv, bt709_from_primaries, eye_rect, yuv_offset, chroma_shift_u, recovery });
         mirrors!(Object, Recovery { slope, gain_ln, tint, padding });
-        mirrors!(EnvironmentLift, Lift { sh, lights, size_px, samples, light_count });
+        mirrors!(EnvironmentLift, Lift { sh, cuts, size_px, samples, cut_count, padding });
+        mirrors!(EnvironmentPrefilter, Prefilter { taps, count, size_px, padding });
+        mirrors!(EnvironmentLift, Cut { direction, cos_inner, cos_outer, share, padding });
         mirrors!(Caster, Caster { clip_from_world });
         mirrors!(Probe, Probe { direction, transfer, code, lift, bt709_from_primaries, recovery });
+        mirrors!(BrdfProbe, BrdfProbe { view, roughness, light, tan_radius, albedo, metallic });
+        mirrors!(BrdfProbe, BrdfResult { specular, padding, direct, padding_2, ambient, padding_3 });
         mirrors!(Probe, ProbeResult { irradiance, u, linear, v, round_trip, padding, lifted, padding_2 });
     }
 }

@@ -3,9 +3,11 @@
 //! [`equirect`], [`sh`] and [`colour`] hold the conventions of the whole project once, for the server's
 //! analysis and for tests; the WGSL files of the same names are their GPU twins.
 
+pub mod brdf;
 pub mod colour;
 pub mod equirect;
 pub mod layout;
+pub mod lobe;
 pub mod project;
 pub mod sh;
 pub mod source;

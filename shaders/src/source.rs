@@ -10,7 +10,7 @@ use mr360_protocol::light::{Lift, MAX_GAIN_LN, MAX_MAGNITUDE, Recovery};
 use mr360_protocol::video::Transfer;
 
 use crate::layout::{MAX_OCCLUDERS, SHADOW_MAP_SIZE};
-use crate::{colour, sh};
+use crate::{colour, lobe, sh};
 
 /// Radii from an occluder's centre beyond which it hides exactly nothing.
 pub const OCCLUDER_REACH: f32 = 5.0;
@@ -24,6 +24,8 @@ pub const ROUGH_TO: f32 = 0.9;
 pub const MIRROR_ALPHA: f32 = 0.02;
 /// Refractive index of glass.
 pub const GLASS_IOR: f32 = 1.5;
+/// Way through glass that leaves the share of light that its base colour names, metres (Beer and Lambert).
+pub const GLASS_DEPTH_M: f32 = 0.1;
 
 /// What a surface is shaded with; each kind has a pipeline of its own, which does no more than it needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -60,6 +62,29 @@ impl Surface {
     }
 }
 
+/// How glossy surfaces look their lobes up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub enum Reflections {
+    /// In maps that are filtered over roughness once a video frame: one or two samples a pixel.
+    #[default]
+    Prefiltered,
+    /// By 36 samples a pixel of the mips (Iorns & Rhee 2015, Sec. 3.2).
+    Iorns,
+    /// By 16 samples a pixel of the mips that follow the GGX lobe.
+    Taps,
+}
+
+impl Reflections {
+    /// Every method with its name on the command line.
+    pub const ALL: [(Self, &str); 3] = [(Self::Prefiltered, "prefiltered"), (Self::Iorns, "iorns"), (Self::Taps, "taps")];
+
+    /// Its number in the shaders.
+    #[must_use]
+    pub fn index(self) -> u32 {
+        self as u32
+    }
+}
+
 /// A shader module: a file with entry points.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Module {
@@ -67,10 +92,14 @@ pub enum Module {
     EnvironmentLift,
     /// Reflection map to its next level.
     EnvironmentMip,
+    /// Reflection map under lobes of one width.
+    EnvironmentPrefilter,
     /// Depth from a light.
     Caster,
     /// Virtual objects.
     Object,
+    /// Virtual objects of glass, after all others.
+    Glass,
     /// Ground as shadow catcher.
     Ground,
     /// Video and objects to the target.
@@ -79,19 +108,24 @@ pub enum Module {
     Overlay,
     /// Light kernels at given directions, for tests against their CPU twins.
     Probe,
+    /// Surfaces under ambient light and one light, for tests against numerical integrals.
+    BrdfProbe,
 }
 
 impl Module {
     /// Every module.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 11] = [
         Self::EnvironmentLift,
         Self::EnvironmentMip,
+        Self::EnvironmentPrefilter,
         Self::Caster,
         Self::Object,
+        Self::Glass,
         Self::Ground,
         Self::Composite,
         Self::Overlay,
         Self::Probe,
+        Self::BrdfProbe,
     ];
 
     /// Name of its file.
@@ -100,12 +134,15 @@ impl Module {
         match self {
             Self::EnvironmentLift => "environment_lift.wgsl",
             Self::EnvironmentMip => "environment_mip.wgsl",
+            Self::EnvironmentPrefilter => "environment_prefilter.wgsl",
             Self::Caster => "caster.wgsl",
             Self::Object => "object.wgsl",
+            Self::Glass => "glass.wgsl",
             Self::Ground => "ground.wgsl",
             Self::Composite => "composite.wgsl",
             Self::Overlay => "overlay.wgsl",
             Self::Probe => "probe.wgsl",
+            Self::BrdfProbe => "brdf_probe.wgsl",
         }
     }
 
@@ -135,14 +172,18 @@ macro_rules! files {
 
 files![
     "brdf.wgsl",
+    "brdf_probe.wgsl",
     "caster.wgsl",
     "colour.wgsl",
     "composite.wgsl",
+    "cube.wgsl",
     "environment_lift.wgsl",
     "environment_mip.wgsl",
+    "environment_prefilter.wgsl",
     "equirect.wgsl",
     "frame.wgsl",
     "fullscreen.wgsl",
+    "glass.wgsl",
     "ground.wgsl",
     "object.wgsl",
     "occlusion.wgsl",
@@ -225,7 +266,10 @@ fn prelude() -> String {
         ("ROUGH_FROM", ROUGH_FROM),
         ("ROUGH_TO", ROUGH_TO),
         ("GLASS_IOR", GLASS_IOR),
+        ("GLASS_DEPTH_M", GLASS_DEPTH_M),
         ("MIRROR_ALPHA", MIRROR_ALPHA),
+        ("PREFILTER_ALPHA", lobe::PREFILTER_ALPHA),
+        ("PREFILTER_RATIO", lobe::PREFILTER_RATIO),
         ("GOLDEN_COSINE", golden_angle.cos()),
         ("GOLDEN_SINE", golden_angle.sin()),
         ("SHADOW_MAP_SIZE", SHADOW_MAP_SIZE as f32),
@@ -240,6 +284,9 @@ fn prelude() -> String {
         ("TRANSFER_PQ", transfer_index(Transfer::Pq)),
         ("TRANSFER_HLG", transfer_index(Transfer::Hlg)),
         ("MAX_OCCLUDERS", MAX_OCCLUDERS as u32),
+        ("MAX_TAPS", lobe::MAX_TAPS as u32),
+        ("REFLECTIONS_IORNS", Reflections::Iorns.index()),
+        ("REFLECTIONS_TAPS", Reflections::Taps.index()),
         ("SURFACE_ROUGH", Surface::Rough.index()),
         ("SURFACE_MIRROR", Surface::Mirror.index()),
         ("SURFACE_GLOSSY", Surface::Glossy.index()),

@@ -1,10 +1,18 @@
 // GGX metallic-roughness (Burley 2012, Karis 2013) and its integral over a uniform environment.
 
-// Scale and bias of F0 for light from everywhere: the fit of Lazarov 2013 as given by Karis 2014.
+// Scale and bias of F0 for light from everywhere, as shaders/src/brdf.rs integrates them.
+@group(2) @binding(2) var albedo_table: texture_2d<f32>;
+@group(2) @binding(3) var albedo_sampler: sampler;
+
 fn dfg(n_dot_v: f32, roughness: f32) -> vec2<f32> {
-    let r = roughness * vec4(-1.0, -0.0275, -0.572, 0.022) + vec4(1.0, 0.0425, 1.04, -0.04);
-    let a = min(r.x * r.x, exp2(-9.28 * n_dot_v)) * r.x + r.y;
-    return vec2(-1.04, 1.04) * a + r.zw;
+    let size = vec2<f32>(textureDimensions(albedo_table));
+    let at = (clamp(vec2(sqrt(n_dot_v), roughness), vec2(0.0), vec2(1.0)) * (size - 1.0) + 0.5) / size;
+    return textureSampleLevel(albedo_table, albedo_sampler, at, 0.0).rg;
+}
+
+// Reflectance at normal incidence: of glass for what is no metal.
+fn surface_f0(albedo: vec3<f32>, metallic: f32) -> vec3<f32> {
+    return mix(vec3(0.04), albedo, metallic);
 }
 
 struct AmbientWeights {
@@ -42,7 +50,7 @@ fn cone_of_light(cosine: f32, alpha: f32) -> f32 {
     return sharpness / (2.0 * PI * (1.0 - exp(-2.0 * sharpness))) * exp(sharpness * (cosine - 1.0));
 }
 
-// Reflected radiance from a light of unit irradiance, cosine included.
+// The lobe alone: reflected radiance from a light of unit irradiance, cosine included.
 fn ggx_direct(f0: vec3<f32>, n: vec3<f32>, v: vec3<f32>, l: vec3<f32>, alpha: f32) -> vec3<f32> {
     let h = normalize(v + l);
     let n_dot_l = max(dot(n, l), 0.0);
@@ -54,4 +62,22 @@ fn ggx_direct(f0: vec3<f32>, n: vec3<f32>, v: vec3<f32>, l: vec3<f32>, alpha: f3
     let masking = 0.5 / (n_dot_l * sqrt(n_dot_v * n_dot_v * (1.0 - a2) + a2) + n_dot_v * sqrt(n_dot_l * n_dot_l * (1.0 - a2) + a2) + 1e-6);
     let fresnel = f0 + (1.0 - f0) * pow(1.0 - max(dot(v, h), 0.0), 5.0);
     return fresnel * (distribution * masking * n_dot_l);
+}
+
+// Highlight of a light of unit irradiance. A wider lobe loses more between the facets and sees other angles of Fresnel's
+// term, but neither the light's width nor the pixel's adds or takes energy: the highlight keeps what the surface's own lobe
+// reflects.
+fn highlight(
+    weights: AmbientWeights,
+    f0: vec3<f32>,
+    n: vec3<f32>,
+    v: vec3<f32>,
+    l: vec3<f32>,
+    roughness: f32,
+    tan_radius: f32,
+    footprint_sr: f32,
+) -> vec3<f32> {
+    let alpha = highlight_alpha(roughness, tan_radius, footprint_sr);
+    let wide = dfg(max(dot(n, v), 0.0), sqrt(alpha));
+    return ggx_direct(f0, n, v, l, alpha) * weights.specular / (f0 * wide.x + wide.y);
 }

@@ -1,22 +1,24 @@
-// Halves the reflection map. Rows count by their solid angle; sizes are powers of two, so no texel pair
-// crosses the seam and the result wraps.
+// Halves the faces of the reflection map. Texels count by their solid angle, so that every level holds the energy of the first;
+// no texel has a part in two faces.
 
-#import "fullscreen.wgsl"
+#import "cube.wgsl"
 
-@group(0) @binding(0) var finer: texture_2d<f32>;
+@group(0) @binding(0) var finer: texture_2d_array<f32>;
+@group(0) @binding(1) var coarser: texture_storage_2d_array<rgba16float, write>;
 
-@fragment
-fn fs_mip(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
-    let size = vec2<i32>(textureDimensions(finer));
-    let corner = vec2<i32>(at.xy) * 2;
+@compute @workgroup_size(8, 8)
+fn cs_mip(@builtin(global_invocation_id) id: vec3<u32>) {
+    if any(id.xy >= textureDimensions(coarser)) {
+        return;
+    }
+    let size = textureDimensions(finer).x;
     var sum = vec3(0.0);
     var weight = 0.0;
-    for (var j = 0; j < 2; j++) {
-        let y = min(corner.y + j, size.y - 1);
-        let w = sin(PI * (f32(y) + 0.5) / f32(size.y));
-        let pair = textureLoad(finer, vec2(min(corner.x, size.x - 1), y), 0) + textureLoad(finer, vec2(min(corner.x + 1, size.x - 1), y), 0);
-        sum += w * pair.rgb;
-        weight += 2.0 * w;
+    for (var i = 0u; i < 4u; i++) {
+        let at = min(id.xy * 2u + vec2(i & 1u, i >> 1u), vec2(size - 1u));
+        let density = cube_density(cube_place(at, size));
+        sum += density * textureLoad(finer, at, id.z, 0).rgb;
+        weight += density;
     }
-    return vec4(sum / weight, 1.0);
+    textureStore(coarser, id.xy, id.z, vec4(sum / weight, 1.0));
 }

@@ -31,7 +31,7 @@ struct Light {
     shadow_range_m: f32,
     // Side of a texel of the shadow map, metres.
     shadow_texel_m: f32,
-    // 1 where the reflection map is without the light, 0 where it holds it.
+    // Share of the light that the reflection map is without.
     cut: f32,
 }
 

@@ -92,28 +92,6 @@ fn visibility_of_light(index: u32, world: vec3<f32>, normal: vec3<f32>) -> f32 {
     return 1.0;
 }
 
-// Clear glass as a solid ball would refract it: in at the surface, out where the inner ray meets the far side.
-fn glass_radiance(world: vec3<f32>, n: vec3<f32>, v: vec3<f32>, tint: vec3<f32>, mirror: vec3<f32>, footprint_sr: f32) -> vec3<f32> {
-    let inside = refract(-v, n, 1.0 / GLASS_IOR);
-    let far_normal = n - 2.0 * dot(n, inside) * inside;
-    let out = refract(inside, -far_normal, GLASS_IOR);
-    let through = normalize(select(reflect(inside, -far_normal), out, dot(out, out) > 0.0));
-    let fresnel = 0.04 + 0.96 * pow(1.0 - max(dot(n, v), 0.0), 5.0);
-    var radiance = mix(tint * cone_radiance(through, footprint_sr), cone_radiance(mirror, footprint_sr), fresnel);
-    let mirror_share = fresnel * map_share(environment_level(mirror, footprint_sr));
-    let through_share = (1.0 - fresnel) * tint * map_share(environment_level(through, footprint_sr));
-    for (var i = 0u; i < lighting.light_count; i++) {
-        let light = lighting.lights[i];
-        let alpha = highlight_alpha(0.0, light.tan_radius, footprint_sr);
-        var highlight = through_share * cone_of_light(dot(through, light.direction), alpha);
-        if dot(n, light.direction) > 0.0 {
-            highlight += mirror_share * cone_of_light(dot(mirror, light.direction), alpha) * visibility_of_light(i, world, n);
-        }
-        radiance += light.irradiance * light.cut * highlight;
-    }
-    return radiance;
-}
-
 @fragment
 fn fs_object(in: ObjectVertex, @builtin(front_facing) front: bool) -> @location(0) vec4<f32> {
     let v = normalize(view.position - in.world);
@@ -134,10 +112,7 @@ fn fs_object(in: ObjectVertex, @builtin(front_facing) front: bool) -> @location(
     roughness = clamp(roughness, 0.0, 1.0);
     metallic = clamp(metallic, 0.0, 1.0);
 
-    if SURFACE == SURFACE_GLASS {
-        return vec4(min(glass_radiance(in.world, n, v, albedo, mirror, footprint_sr), vec3(MAX_MAGNITUDE)), 1.0);
-    }
-    let f0 = mix(vec3(0.04), albedo, metallic);
+    let f0 = surface_f0(albedo, metallic);
     let weights = ambient_weights(f0, albedo, metallic, max(dot(n, v), 0.0), roughness);
     let kept = neighbour_ratio(in.world, n, in.object);
     let around = reflected(mirror, roughness, footprint_sr);
@@ -149,7 +124,7 @@ fn fs_object(in: ObjectVertex, @builtin(front_facing) front: bool) -> @location(
         if cosine > 0.0 {
             // A highlight for as much of the reflection as lacks the light: on top of the rest it would count twice.
             let lacking = around.sh_share + light.cut * around.map_share;
-            let specular = lacking * ggx_direct(f0, n, v, light.direction, highlight_alpha(roughness, light.tan_radius, footprint_sr));
+            let specular = lacking * highlight(weights, f0, n, v, light.direction, roughness, light.tan_radius, footprint_sr);
             radiance += light.irradiance * visibility_of_light(i, in.world, n) * (specular + weights.diffuse * cosine / PI);
         }
     }

@@ -1,5 +1,7 @@
 //! A LightFrame as the renderer uses it.
 
+use std::f32::consts::PI;
+
 use glam::Vec3;
 use mr360_protocol::light::{DirectionalLight, Lift, LightFrame, SH9, SH25};
 use mr360_shaders::colour::luminance;
@@ -45,29 +47,45 @@ impl From<&LightFrame> for FrameLight {
     }
 }
 
-/// Cosine of half the cone of this solid angle, kept below 80°: wider lights are no lights but sky.
-pub(crate) fn cos_radius(solid_angle_sr: f32) -> f32 {
-    (1.0 - solid_angle_sr / std::f32::consts::TAU).clamp(0.17, 1.0)
+/// Squared sine of a quarter of the apex angle of the cone of this solid angle, which is Ω/4π: angles of small cones come
+/// from it without the digits that 1 − cos θ loses. Held below a half angle of 80°: wider lights are no lights but sky.
+fn sin2_half(solid_angle_sr: f32) -> f32 {
+    (solid_angle_sr / (4.0 * PI)).clamp(0.0, 0.415)
 }
 
-/// Half angle from which a light stays in the reflection map, radians. A narrower one is gone between the map's coarser
-/// texels unless it comes back as a highlight, and the SH of the rest hardly know of it. A wider one fills many
-/// texels, each with the radiance that it is to mirror, and leaves a hole in the rest where their SH ring below zero.
-const WIDE: f32 = 8.0 * std::f32::consts::PI / 180.0;
+/// Half the apex angle of the cone of this solid angle, radians.
+fn half_angle(solid_angle_sr: f32) -> f32 {
+    2.0 * sin2_half(solid_angle_sr).sqrt().asin()
+}
+
+/// Tangent of half the apex angle of the cone of this solid angle.
+pub(crate) fn tan_radius(solid_angle_sr: f32) -> f32 {
+    let sin2 = sin2_half(solid_angle_sr);
+    2.0 * (sin2 * (1.0 - sin2)).sqrt() / (1.0 - 2.0 * sin2)
+}
+
+/// Half angles between which a light goes over from the highlights to the reflection map, radians. A narrow one is gone
+/// between the map's coarser texels unless it comes back as a highlight, and the SH of the rest hardly know of it. A wide one
+/// fills many texels, each with the radiance that it is to mirror, and leaves a hole in the rest where their SH ring below
+/// zero. A light whose measured size wavers moves between the two without a step.
+const WIDE: [f32; 2] = [7.0 * PI / 180.0, 9.0 * PI / 180.0];
 /// A light's own spread is widened by this before it is cut out, for the blur of lens and codec around it.
 const CUT_MARGIN: f32 = 1.5;
 
-/// Half angle over which a light of this solid angle is cut out of the reflection map, radians; it then comes back as
-/// a highlight. `None` for a wide one, which the map holds and which has no highlight where the map is seen.
-pub(crate) fn cut_radius(solid_angle_sr: f32) -> Option<f32> {
-    let radius = cos_radius(solid_angle_sr).acos();
-    (radius < WIDE).then_some(radius * CUT_MARGIN)
+/// How a light is shared between the reflection map and its highlight.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct MapCut {
+    /// Half angle over which the light is taken out of the map, radians.
+    pub(crate) radius: f32,
+    /// How much of it is taken out, and comes back as a highlight: in [0, 1].
+    pub(crate) share: f32,
 }
 
-/// Tangent of half the cone of this solid angle.
-pub(crate) fn tan_radius(solid_angle_sr: f32) -> f32 {
-    let cosine = cos_radius(solid_angle_sr);
-    (1.0 - cosine * cosine).max(0.0).sqrt() / cosine
+/// The cut of a light of this solid angle; share 0 for a wide one, which the map holds whole.
+pub(crate) fn map_cut(solid_angle_sr: f32) -> MapCut {
+    let half_angle = half_angle(solid_angle_sr);
+    let kept = ((half_angle - WIDE[0]) / (WIDE[1] - WIDE[0])).clamp(0.0, 1.0);
+    MapCut { radius: half_angle * CUT_MARGIN, share: 1.0 - kept * kept * (3.0 - 2.0 * kept) }
 }
 
 #[cfg(test)]
@@ -91,25 +109,40 @@ mod tests {
         assert!((direct + folded - total).abs() < 1e-2 * total, "{direct} + {folded} against {total}");
     }
 
+    /// In double precision, which 1 − cos θ needs.
+    fn solid_angle(half_angle_deg: f64) -> f32 {
+        (2.0 * std::f64::consts::PI * (1.0 - half_angle_deg.to_radians().cos())) as f32
+    }
+
     #[test]
     fn cones_of_known_solid_angles() {
-        // Half a degree across, the sun: 6.8e-5 sr.
-        let radius: f32 = 0.266_f32.to_radians();
-        let solid_angle = std::f32::consts::TAU * (1.0 - f64::from(radius).cos()) as f32;
-        // 1 − cos loses digits in f32: 6 % of such a small angle.
-        assert!((tan_radius(solid_angle) / radius.tan() - 1.0).abs() < 0.06);
+        // A thousandth of a degree, the sun's quarter of a degree, lamps, skies.
+        for half_angle_deg in [0.001f64, 0.266, 1.0, 8.0, 45.0, 79.0] {
+            let expected = half_angle_deg.to_radians().tan() as f32;
+            let found = tan_radius(solid_angle(half_angle_deg));
+            assert!((found / expected - 1.0).abs() < 1e-4, "{half_angle_deg}°: {found} against {expected}");
+        }
+        // The whole sphere is held at 80°.
+        assert!((5.0..6.0).contains(&tan_radius(4.0 * PI)) && tan_radius(0.0) == 0.0);
     }
 
     #[test]
     fn only_narrow_lights_are_cut_out_of_reflections() {
-        let solid_angle = |half_angle_deg: f32| std::f32::consts::TAU * (1.0 - half_angle_deg.to_radians().cos());
-        for half_angle_deg in [1.0, 3.0, 7.9] {
-            let cut = cut_radius(solid_angle(half_angle_deg)).unwrap().to_degrees();
-            // 1 − cos of 1° has lost three of seven digits.
-            assert!((cut / (1.5 * half_angle_deg) - 1.0).abs() < 1e-3, "{half_angle_deg}: {cut}");
+        for half_angle_deg in [0.266, 1.0, 3.0, 6.9] {
+            let cut = map_cut(solid_angle(half_angle_deg));
+            assert_eq!(cut.share, 1.0, "{half_angle_deg}");
+            assert!((f64::from(cut.radius).to_degrees() / (1.5 * half_angle_deg) - 1.0).abs() < 1e-4, "{half_angle_deg}: {cut:?}");
         }
-        for half_angle_deg in [8.1, 30.0, 66.0, 180.0] {
-            assert_eq!(cut_radius(solid_angle(half_angle_deg)), None, "{half_angle_deg}");
+        for half_angle_deg in [9.1, 30.0, 66.0, 180.0] {
+            assert_eq!(map_cut(solid_angle(half_angle_deg)).share, 0.0, "{half_angle_deg}");
         }
+    }
+
+    #[test]
+    fn a_light_that_grows_leaves_its_highlight_without_a_step() {
+        let shares: Vec<f32> = (0..=400).map(|i| map_cut(solid_angle(6.0 + 0.01 * f64::from(i))).share).collect();
+        // The steepest slope of a smooth step over 2° is 0.75 a degree.
+        assert!(shares.windows(2).all(|pair| pair[1] <= pair[0] && pair[0] - pair[1] < 0.01 * 0.75 * 1.05));
+        assert!((map_cut(solid_angle(8.0)).share - 0.5).abs() < 1e-3);
     }
 }

@@ -1,5 +1,6 @@
 //! Video rate: the decoded picture on the GPU, and the reflection map made of it when something reflects.
 
+pub(crate) mod albedo;
 pub(crate) mod light;
 pub(crate) mod reflection;
 mod upload;
@@ -10,7 +11,7 @@ use mr360_protocol::light::Lift;
 use mr360_protocol::video::{StereoLayout, Transfer};
 use mr360_shaders::colour::{bt709_from_primaries, rgb_from_yuv};
 use mr360_shaders::layout;
-use mr360_shaders::source::{lift_index, transfer_index};
+use mr360_shaders::source::{Reflections, lift_index, transfer_index};
 
 use crate::gpu::{Gpu, GpuError};
 use crate::picture::{Picture, Samples};
@@ -64,7 +65,8 @@ pub struct Environment {
     bind_group: wgpu::BindGroup,
     eye_width: u32,
     reflections: ReflectionMap,
-    reflections_stale: bool,
+    /// The method that the reflection maps are up to date for.
+    reflected: Option<Reflections>,
 }
 
 impl Environment {
@@ -95,7 +97,7 @@ impl Environment {
         gpu.queue.write_buffer(&uniform, 0, bytemuck::bytes_of(&video));
         let kind =
             VideoKind { transfer: transfer_index(Transfer::Linear), planar: false, whole_width: true, lift: lift_index(Lift::Linear) };
-        Ok(Self { layout, sampler, uniform, video, kind, planes, bind_group, eye_width: 1, reflections, reflections_stale: true })
+        Ok(Self { layout, sampler, uniform, video, kind, planes, bind_group, eye_width: 1, reflections, reflected: None })
     }
 
     /// Puts the next picture on the GPU. Textures are kept while size and format stay.
@@ -111,7 +113,7 @@ impl Environment {
         self.kind = VideoKind::new(picture, self.kind.lift);
         self.video = layout::Video { recovery: self.video.recovery, ..video_uniform(picture, self.planes.code_scale()) };
         gpu.queue.write_buffer(&self.uniform, 0, bytemuck::bytes_of(&self.video));
-        self.reflections_stale = true;
+        self.reflected = None;
         Ok(())
     }
 
@@ -123,14 +125,21 @@ impl Environment {
             self.video.recovery = recovery;
             gpu.queue.write_buffer(&self.uniform, 0, bytemuck::bytes_of(&self.video));
         }
-        self.reflections_stale = true;
+        self.reflected = None;
     }
 
-    /// Records the rebuilding of the reflection map, if picture or light changed since the last time.
-    pub(crate) fn refresh_reflections(&mut self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder, light: &FrameLight, timer: &mut PassTimer) {
-        if self.reflections_stale {
-            self.reflections.record(gpu, encoder, (self.kind, &self.bind_group), self.eye_width, light, timer);
-            self.reflections_stale = false;
+    /// Records the rebuilding of what reflections are looked up in, if picture, light or method changed since the last time.
+    pub(crate) fn refresh_reflections(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        light: &FrameLight,
+        method: Reflections,
+        timer: &mut PassTimer,
+    ) {
+        if self.reflected != Some(method) {
+            self.reflections.record(gpu, encoder, (self.kind, &self.bind_group), self.eye_width, (light, method), timer);
+            self.reflected = Some(method);
         }
     }
 
@@ -175,11 +184,14 @@ fn video_uniform(picture: &Picture, code_scale: f32) -> layout::Video {
     }
 }
 
+/// Stages that see the video and what is made of it.
+const LOOKED_AT_BY: wgpu::ShaderStages = wgpu::ShaderStages::FRAGMENT.union(wgpu::ShaderStages::COMPUTE);
+
 /// Layout of group 1: how to decode, three planes, their sampler.
 pub(crate) fn video_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     let uniform = wgpu::BindGroupLayoutEntry {
         binding: 0,
-        visibility: wgpu::ShaderStages::FRAGMENT,
+        visibility: LOOKED_AT_BY,
         ty: wgpu::BindingType::Buffer { ty: wgpu::BufferBindingType::Uniform, has_dynamic_offset: false, min_binding_size: None },
         count: None,
     };
@@ -195,12 +207,12 @@ pub(crate) fn texture_entry(binding: u32) -> wgpu::BindGroupLayoutEntry {
         view_dimension: wgpu::TextureViewDimension::D2,
         multisampled: false,
     };
-    wgpu::BindGroupLayoutEntry { binding, visibility: wgpu::ShaderStages::FRAGMENT, ty, count: None }
+    wgpu::BindGroupLayoutEntry { binding, visibility: LOOKED_AT_BY, ty, count: None }
 }
 
 pub(crate) fn sampler_entry(binding: u32) -> wgpu::BindGroupLayoutEntry {
     let ty = wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering);
-    wgpu::BindGroupLayoutEntry { binding, visibility: wgpu::ShaderStages::FRAGMENT, ty, count: None }
+    wgpu::BindGroupLayoutEntry { binding, visibility: LOOKED_AT_BY, ty, count: None }
 }
 
 fn video_bind_group(

@@ -5,7 +5,11 @@
 //! pixels have the same bits as with no object in the scene: the layer's samples are cleared to 0, and resolving
 //! averages zeros.
 
+#[cfg(test)]
+mod energy_tests;
 mod extent;
+#[cfg(test)]
+mod glass_tests;
 mod models;
 mod pipelines;
 pub mod plan;
@@ -28,6 +32,7 @@ use mr360_protocol::asset::AssetId;
 use mr360_protocol::light::LightFrame;
 use mr360_protocol::scene::{ObjectId, Scene};
 use mr360_shaders::layout;
+use mr360_shaders::source::{Reflections, Surface};
 
 use crate::camera::Camera;
 use crate::environment::{Environment, FrameLight};
@@ -51,23 +56,29 @@ use stage::Stage;
 use timing::PassTimer;
 
 /// Passes that a frame may have.
-pub const PASSES: [&str; 13] = [
+pub const PASSES: [&str; 17] = [
     "shadow 1",
     "shadow 2",
     "shadow 3",
     "shadow 4",
     "reflections",
     OBJECTS[0],
+    GLASS[0],
     COMPOSITE[0],
     OBJECTS[1],
+    GLASS[1],
     COMPOSITE[1],
     OBJECTS[2],
+    GLASS[2],
     COMPOSITE[2],
     OBJECTS[3],
+    GLASS[3],
     COMPOSITE[3],
 ];
 /// Of each view.
 const OBJECTS: [&str; MAX_VIEWS] = ["objects", "objects view 2", "objects view 3", "objects view 4"];
+/// Of each view.
+const GLASS: [&str; MAX_VIEWS] = ["glass", "glass view 2", "glass view 3", "glass view 4"];
 /// Of each view.
 const COMPOSITE: [&str; MAX_VIEWS] = ["composite", "composite view 2", "composite view 3", "composite view 4"];
 
@@ -110,6 +121,7 @@ pub struct Renderer {
     /// In force: the picture's, or on its way to that of the next one.
     current: FrameLight,
     visible: bool,
+    reflections: Reflections,
     /// By view.
     layers: Vec<(Room, Layer)>,
     tier: Tier,
@@ -144,6 +156,7 @@ impl Renderer {
             light_changed: true,
             current: FrameLight::default(),
             visible: true,
+            reflections: Reflections::default(),
             layers: Vec::new(),
             tier: Tier::FULL,
             samples: 0,
@@ -168,6 +181,11 @@ impl Renderer {
     /// Shows or hides all objects from the next frame on. Hidden ones stay on the GPU and cannot be picked.
     pub fn set_visible(&mut self, visible: bool) {
         self.visible = visible;
+    }
+
+    /// Looks reflections up this way from the next frame on.
+    pub fn set_reflections(&mut self, method: Reflections) {
+        self.reflections = method;
     }
 
     /// Takes the light that belongs to the environment's picture.
@@ -230,14 +248,15 @@ impl Renderer {
         }
         if plan.reflections && (plan.reflections_every == 1 || self.unreflected >= plan.reflections_every) {
             self.unreflected = 0;
-            environment.refresh_reflections(gpu, encoder, &self.light, &mut self.timer);
+            environment.refresh_reflections(gpu, encoder, &self.light, self.reflections, &mut self.timer);
         }
         let frusta: Vec<Frustum> =
             self.current.lights.iter().take(plan.shadows).map(|light| self.resources.frustum(light, &self.stage)).collect();
         self.resources.write_frame(gpu, &self.stage, (&self.current, &self.light), &frusta, plan.occlusion);
         let mut report = FrameReport { plan, ..FrameReport::default() };
         self.draw_shadows(encoder, &frusta, &mut report);
-        let kind = Kind { video: environment.kind(), sh_count: self.current.sh_count, samples: plan.samples };
+        let kind =
+            Kind { video: environment.kind(), sh_count: self.current.sh_count, samples: plan.samples, reflections: self.reflections };
         self.prepare(gpu, kind, plan);
         if plan.objects && self.samples != plan.samples {
             self.samples = plan.samples;
@@ -250,8 +269,11 @@ impl Renderer {
             let part = if plan.objects { touched(&view.camera, view.size, &self.stage, ground) } else { None };
             self.resources.write_view(gpu, at, view, part.unwrap_or_default());
             if let Some(part) = part {
-                self.make_layer(gpu, at, part, view.size);
+                self.make_layer(gpu, at, (part, view.size), plan.glass);
                 self.draw_layer(encoder, environment, kind, (at, view, part), ground.is_some(), &mut report);
+                if plan.glass {
+                    self.draw_glass(gpu, encoder, environment, kind, (at, view, part), &mut report);
+                }
             }
             self.composite(encoder, environment, kind, (at, view), part.is_some(), &mut report);
         }
@@ -263,15 +285,15 @@ impl Renderer {
     /// Makes what pipelines this frame needs and earlier ones did not.
     fn prepare(&mut self, gpu: &Gpu, kind: Kind, plan: Plan) {
         let objects = self.stage.draws.iter().map(object_use);
-        let others = [(Use::Composite, true), (Use::Ground, plan.objects), (Use::Horizon, plan.ground_hides)];
+        let others = [(Use::Composite, true), (Use::Ground, plan.objects), (Use::Horizon, plan.ground_hides), (Use::GlassBack, plan.glass)];
         for what in objects.chain(others.into_iter().filter_map(|(what, needed)| needed.then_some(what))) {
             self.pipelines.prepare(gpu, &self.layouts, kind, what);
         }
     }
 
     /// The layer's targets, kept while they hold the part and are not far too large for it.
-    fn make_layer(&mut self, gpu: &Gpu, at: usize, part: Part, image: (u32, u32)) {
-        let make = |room: &Room| Layer::new(&gpu.device, &self.layouts.layer, room.size(), self.samples);
+    fn make_layer(&mut self, gpu: &Gpu, at: usize, (part, image): (Part, (u32, u32)), glass: bool) {
+        let make = |room: &Room| Layer::new(&gpu.device, &self.layouts.layer, room.size(), self.samples, glass);
         // Views before this one may have had nothing to draw.
         while self.layers.len() <= at {
             let mut room = Room::default();
@@ -279,7 +301,7 @@ impl Renderer {
             self.layers.push((room, make(&room)));
         }
         if let Some((room, layer)) = self.layers.get_mut(at)
-            && room.make(part.size, image)
+            && (room.make(part.size, image) || layer.glass.is_some() != glass)
         {
             *layer = make(room);
         }
@@ -302,7 +324,8 @@ impl Renderer {
             pass.set_pipeline(&self.pipelines.caster);
             pass.set_bind_group(0, &self.resources.caster_instances, &[]);
             pass.set_bind_group(1, &self.resources.caster_views, &[at as u32 * VIEW_STRIDE]);
-            for draw in &self.stage.draws {
+            // Light passes through glass.
+            for draw in self.stage.draws.iter().filter(|draw| draw.surface != Surface::Glass) {
                 if let Some(Ok(model)) = self.models.get(&draw.geometry)
                     && let Some(part) = model.parts.get(draw.part)
                 {
@@ -324,9 +347,14 @@ impl Renderer {
         report: &mut FrameReport,
     ) {
         let Some((_, layer)) = self.layers.get(at) else { return };
+        // Glass goes over the samples of what was drawn, and sees them resolved.
+        let (resolved, depth_store) = match &layer.glass {
+            Some(glass) => (&glass.drawn, wgpu::StoreOp::Store),
+            None => (&layer.resolved, wgpu::StoreOp::Discard),
+        };
         let (target, resolve_target, store) = match &layer.samples {
-            Some(samples) => (samples, Some(&layer.resolved), wgpu::StoreOp::Discard),
-            None => (&layer.resolved, None, wgpu::StoreOp::Store),
+            Some(samples) => (samples, Some(resolved), depth_store),
+            None => (resolved, None, wgpu::StoreOp::Store),
         };
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some(OBJECTS[at]),
@@ -336,18 +364,15 @@ impl Renderer {
                 resolve_target,
                 ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT), store },
             })],
-            depth_stencil_attachment: Some(depth_attachment(&layer.depth, 0.0, wgpu::StoreOp::Discard)),
+            depth_stencil_attachment: Some(depth_attachment(&layer.depth, 0.0, depth_store)),
             timestamp_writes: self.timer.pass(OBJECTS[at]),
             ..wgpu::RenderPassDescriptor::default()
         });
-        // The layer is a window into the image.
-        let (x, y) = (part.origin.0 as f32, part.origin.1 as f32);
-        pass.set_viewport(-x, -y, view.size.0.max(1) as f32, view.size.1.max(1) as f32, 0.0, 1.0);
-        pass.set_scissor_rect(0, 0, part.size.0, part.size.1);
+        look_into(&mut pass, view, part);
         pass.set_bind_group(0, &self.resources.frame, &[at as u32 * VIEW_STRIDE]);
         pass.set_bind_group(1, environment.bind_group(), &[]);
         pass.set_bind_group(2, environment.reflection_bind_group(), &[]);
-        for draw in &self.stage.draws {
+        for draw in self.stage.draws.iter().filter(|draw| draw.surface != Surface::Glass) {
             let Some(Ok(model)) = self.models.get(&draw.geometry) else { continue };
             let Some(part) = model.parts.get(draw.part) else { continue };
             let Some(pipeline) = self.pipelines.get(kind, object_use(draw)) else { continue };
@@ -364,6 +389,68 @@ impl Renderer {
             if let Some(pipeline) = self.pipelines.get(kind, what) {
                 pass.set_pipeline(pipeline);
                 pass.draw(0..4, 0..1);
+                report.draws += 1;
+            }
+        }
+    }
+
+    /// Glass over the layer: its far sides first, then its near ones, which see them and all that was drawn before.
+    fn draw_glass(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        environment: &Environment,
+        kind: Kind,
+        (at, view, part): (usize, &View<'_>, Part),
+        report: &mut FrameReport,
+    ) {
+        let Some((_, layer)) = self.layers.get(at) else { return };
+        let (Some(glass), Some(samples)) = (&layer.glass, &layer.samples) else { return };
+        let draws: Vec<_> = self.stage.draws.iter().filter(|draw| draw.surface == Surface::Glass).collect();
+        let offset = [at as u32 * VIEW_STRIDE];
+        layer.keep_depth(encoder, glass);
+        let group = self.resources.glass_group(gpu, &self.layouts, glass);
+        let back = (&glass.back, None, wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT), wgpu::StoreOp::Store);
+        let front = (samples, Some(&layer.resolved), wgpu::LoadOp::Load, wgpu::StoreOp::Discard);
+        let depths = [
+            depth_attachment(&glass.back_depth, 0.0, wgpu::StoreOp::Discard),
+            wgpu::RenderPassDepthStencilAttachment {
+                depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Load, store: wgpu::StoreOp::Discard }),
+                ..depth_attachment(&layer.depth, 0.0, wgpu::StoreOp::Discard)
+            },
+        ];
+        for (far, ((target, resolve_target, load, store), depth)) in [true, false].into_iter().zip([back, front].into_iter().zip(depths)) {
+            let timestamp_writes = if far { self.timer.begin(GLASS[at]) } else { self.timer.end() };
+            let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+                label: Some(GLASS[at]),
+                color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                    view: target,
+                    depth_slice: None,
+                    resolve_target,
+                    ops: wgpu::Operations { load, store },
+                })],
+                depth_stencil_attachment: Some(depth),
+                timestamp_writes,
+                ..wgpu::RenderPassDescriptor::default()
+            });
+            look_into(&mut pass, view, part);
+            if far {
+                pass.set_bind_group(0, &self.resources.frame, &offset);
+            } else {
+                pass.set_bind_group(0, &group, &offset);
+                pass.set_bind_group(1, environment.bind_group(), &[]);
+                pass.set_bind_group(2, environment.reflection_bind_group(), &[]);
+            }
+            for draw in &draws {
+                let Some(Ok(model)) = self.models.get(&draw.geometry) else { continue };
+                let Some(part) = model.parts.get(draw.part) else { continue };
+                let what = if far { Use::GlassBack } else { object_use(draw) };
+                let Some(pipeline) = self.pipelines.get(kind, what) else { continue };
+                pass.set_pipeline(pipeline);
+                if !far {
+                    pass.set_bind_group(3, if draw.textured { &part.material } else { self.models.plain() }, &[]);
+                }
+                draw_part(&mut pass, part, draw);
                 report.draws += 1;
             }
         }
@@ -405,7 +492,17 @@ fn depth_attachment(view: &wgpu::TextureView, clear: f32, store: wgpu::StoreOp) 
     wgpu::RenderPassDepthStencilAttachment { view, depth_ops, stencil_ops: None }
 }
 
+/// The layer is a window into the image.
+fn look_into(pass: &mut wgpu::RenderPass<'_>, view: &View<'_>, part: Part) {
+    let (x, y) = (part.origin.0 as f32, part.origin.1 as f32);
+    pass.set_viewport(-x, -y, view.size.0.max(1) as f32, view.size.1.max(1) as f32, 0.0, 1.0);
+    pass.set_scissor_rect(0, 0, part.size.0, part.size.1);
+}
+
 fn object_use(draw: &stage::Draw) -> Use {
+    if draw.surface == Surface::Glass {
+        return Use::Glass { textured: draw.textured };
+    }
     Use::Object { surface: draw.surface, textured: draw.textured, double_sided: draw.double_sided }
 }
 

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use mr360_shaders::layout::Vertex;
-use mr360_shaders::source::{Module, Surface};
+use mr360_shaders::source::{Module, Reflections, Surface};
 
 use crate::environment::reflection::reflection_layout;
 use crate::environment::{VideoKind, sampler_entry, texture_entry, video_layout};
@@ -13,10 +13,14 @@ use crate::gpu::{Gpu, GpuError};
 pub(super) const LAYER_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
 /// Reversed: 1 near, 0 at infinity.
 pub(super) const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
+/// Back faces of glass: outward normal, and metres from the eye.
+pub(super) const BACK_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba32Float;
 
 pub(super) struct Layouts {
     /// Group 0 of what is drawn in the layer.
     pub(super) frame: wgpu::BindGroupLayout,
+    /// Group 0 of glass: the same and what was drawn before.
+    pub(super) glass: wgpu::BindGroupLayout,
     /// Group 0 of the casters' pass: the same without the shadow maps it draws.
     pub(super) casters: wgpu::BindGroupLayout,
     /// Group 1 of the casters' pass.
@@ -31,6 +35,7 @@ pub(super) struct Layouts {
 pub(super) struct Pipelines {
     pub(super) caster: wgpu::RenderPipeline,
     object: wgpu::ShaderModule,
+    glass: wgpu::ShaderModule,
     ground: wgpu::ShaderModule,
     composite: wgpu::ShaderModule,
     target: wgpu::TextureFormat,
@@ -45,12 +50,23 @@ pub(super) struct Kind {
     pub(super) sh_count: usize,
     /// A pixel of objects and ground.
     pub(super) samples: u32,
+    pub(super) reflections: Reflections,
 }
 
 /// What a pipeline draws.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) enum Use {
-    Object { surface: Surface, textured: bool, double_sided: bool },
+    Object {
+        surface: Surface,
+        textured: bool,
+        double_sided: bool,
+    },
+    /// Glass, over what was drawn before it.
+    Glass {
+        textured: bool,
+    },
+    /// The far sides of glass.
+    GlassBack,
     Ground,
     Horizon,
     Composite,
@@ -91,8 +107,27 @@ impl Layouts {
             },
             ..texture_entry(0)
         };
+        let depth_samples = wgpu::BindingType::Texture {
+            sample_type: wgpu::TextureSampleType::Depth,
+            view_dimension: wgpu::TextureViewDimension::D2,
+            multisampled: true,
+        };
         Self {
             frame: make("frame", &[view, lighting, instances, occluders, shadow_maps, shadow_sampler]),
+            glass: make(
+                "glass",
+                &[
+                    view,
+                    lighting,
+                    instances,
+                    occluders,
+                    shadow_maps,
+                    shadow_sampler,
+                    wgpu::BindGroupLayoutEntry { binding: 6, ..unfiltered },
+                    wgpu::BindGroupLayoutEntry { binding: 7, ty: depth_samples, ..unfiltered },
+                    wgpu::BindGroupLayoutEntry { binding: 8, ..unfiltered },
+                ],
+            ),
             casters: make("casters", &[instances]),
             caster: make("caster", &[buffer_entry(0, uniform, true)]),
             layer: make("layer", &[unfiltered]),
@@ -185,6 +220,7 @@ impl Pipelines {
         Ok(Self {
             caster: build(gpu, &gpu.shader(Module::Caster)?, &casters),
             object: gpu.shader(Module::Object)?,
+            glass: gpu.shader(Module::Glass)?,
             ground: gpu.shader(Module::Ground)?,
             composite: gpu.shader(Module::Composite)?,
             target,
@@ -225,6 +261,7 @@ impl Pipelines {
         match what {
             Use::Object { surface, textured, double_sided } => {
                 constants.extend([("SURFACE", f64::from(surface.index())), ("TEXTURED", flag(textured))]);
+                constants.push(("REFLECTIONS", f64::from(kind.reflections.index())));
                 let reflection = reflection_layout(&gpu.device);
                 let recipe = Recipe {
                     label: "object",
@@ -238,6 +275,36 @@ impl Pipelines {
                     ..ground
                 };
                 build(gpu, &self.object, &recipe)
+            }
+            Use::Glass { textured } => {
+                constants.extend([("SURFACE", f64::from(Surface::Glass.index())), ("TEXTURED", flag(textured))]);
+                constants.push(("REFLECTIONS", f64::from(kind.reflections.index())));
+                let reflection = reflection_layout(&gpu.device);
+                let recipe = Recipe {
+                    label: "glass",
+                    vertex: "vs_object",
+                    fragment: Some(("fs_glass", LAYER_FORMAT)),
+                    layouts: &[Some(&layouts.glass), Some(&video), Some(&reflection), Some(&layouts.material)],
+                    mesh: true,
+                    depth: Some(depth(wgpu::CompareFunction::Greater, wgpu::DepthBiasState::default())),
+                    constants: &constants,
+                    ..ground
+                };
+                build(gpu, &self.glass, &recipe)
+            }
+            Use::GlassBack => {
+                let recipe = Recipe {
+                    label: "glass, far sides",
+                    vertex: "vs_object",
+                    fragment: Some(("fs_glass_back", BACK_FORMAT)),
+                    layouts: &[Some(&layouts.frame)],
+                    mesh: true,
+                    cull: Some(wgpu::Face::Front),
+                    depth: Some(depth(wgpu::CompareFunction::Greater, wgpu::DepthBiasState::default())),
+                    samples: 1,
+                    ..ground
+                };
+                build(gpu, &self.glass, &recipe)
             }
             Use::Ground => build(gpu, &self.ground, &Recipe { constants: &constants, ..ground }),
             Use::Horizon => {

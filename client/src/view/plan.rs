@@ -28,6 +28,8 @@ pub struct Plan {
     pub occlusion: bool,
     /// Samples a pixel of what is drawn over the video.
     pub samples: u32,
+    /// Something is of glass and is drawn after all else, which it shows.
+    pub glass: bool,
 }
 
 /// What the plan asks of the scene.
@@ -39,6 +41,8 @@ pub struct SceneNeeds {
     pub reflective: bool,
     /// Some object reaches beneath the ground.
     pub beneath_ground: bool,
+    /// Some surface is glass.
+    pub glass: bool,
 }
 
 impl Plan {
@@ -52,19 +56,27 @@ impl Plan {
         let shares: Vec<f32> = light.lights.iter().map(|light| luminance(light.irradiance).max(0.0)).collect();
         let total = ambient + shares.iter().sum::<f32>();
         let shadows = shares.iter().take(MAX_SHADOWS).take_while(|share| **share > 0.0 && **share >= SHADOW_SHARE * total).count();
-        let all = Self { objects: true, reflections: scene.reflective, shadows, ground_hides: scene.beneath_ground, ..Self::default() };
+        let all = Self {
+            objects: true,
+            reflections: scene.reflective,
+            shadows,
+            ground_hides: scene.beneath_ground,
+            glass: scene.glass,
+            ..Self::default()
+        };
         all.within(Tier::FULL)
     }
 
-    /// Leaves out what a tier leaves out.
+    /// Leaves out what a tier leaves out. Glass sees what was drawn before it in all samples, and keeps them.
     #[must_use]
     pub fn within(self, tier: Tier) -> Self {
         let limits = tier.limits();
+        let samples = if self.glass { Tier::FULL.limits().samples } else { limits.samples };
         Self {
             shadows: self.shadows.min(limits.shadows),
             reflections_every: if self.reflections { limits.reflections_every } else { 0 },
             occlusion: self.objects && limits.occlusion,
-            samples: if self.objects { limits.samples } else { 0 },
+            samples: if self.objects { samples } else { 0 },
             ..self
         }
     }
@@ -101,7 +113,10 @@ mod tests {
         let plain = Plan { objects: true, occlusion: true, samples: 4, ..Plan::default() };
         assert_eq!(Plan::new(needs, &light(&[])), plain);
         let mirror = SceneNeeds { reflective: true, ..needs };
-        assert_eq!(Plan::new(mirror, &light(&[])), Plan { reflections: true, reflections_every: 1, ..plain });
+        let mirrored = Plan { reflections: true, reflections_every: 1, ..plain };
+        assert_eq!(Plan::new(mirror, &light(&[])), mirrored);
+        let glass = SceneNeeds { glass: true, ..mirror };
+        assert_eq!(Plan::new(glass, &light(&[])), Plan { glass: true, ..mirrored });
         assert_eq!(Plan::new(SceneNeeds::default(), &light(&[5.0])), Plan::default());
     }
 

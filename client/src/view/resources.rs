@@ -7,13 +7,13 @@ use mr360_shaders::layout::{self, MAX_OCCLUDERS, SHADOW_MAP_SIZE};
 use mr360_shaders::sh;
 
 use super::extent::Part;
-use super::pipelines::{DEPTH_FORMAT, LAYER_FORMAT, Layouts};
+use super::pipelines::{BACK_FORMAT, DEPTH_FORMAT, LAYER_FORMAT, Layouts};
 use super::plan::MAX_SHADOWS;
 use super::shadows::{Frustum, LONGEST_SHADOW_M, fit};
 use super::stage::Stage;
 use super::{MAX_VIEWS, View, view_uniform};
 use crate::environment::FrameLight;
-use crate::environment::light::{cut_radius, tan_radius};
+use crate::environment::light::{map_cut, tan_radius};
 use crate::gpu::Gpu;
 
 /// Bytes from one view's uniform to the next: WebGPU's alignment of dynamic offsets.
@@ -159,6 +159,13 @@ impl Resources {
         self.written = lighting;
     }
 
+    /// Group 0 of the glass that stands before what a layer holds.
+    pub(super) fn glass_group(&self, gpu: &Gpu, layouts: &Layouts, glass: &GlassLayer) -> wgpu::BindGroup {
+        let shared = (&self.views, &self.lighting, &self.instances, &self.occluders);
+        let entries = glass_entries(frame_entries(shared, &self.shadow_maps, &self.shadow_sampler), glass);
+        gpu.device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some("glass"), layout: &layouts.glass, entries: &entries })
+    }
+
     pub(super) fn write_view(&self, gpu: &Gpu, at: usize, view: &View<'_>, layer: Part) {
         gpu.queue.write_buffer(&self.views, at as u64 * u64::from(VIEW_STRIDE), bytemuck::bytes_of(&view_uniform(view, layer)));
     }
@@ -166,8 +173,9 @@ impl Resources {
 
 /// Lights that are not in the picture's light are not cut out of its reflections, and must not come back as highlights.
 fn lighting(stage: &Stage, (light, picture): (&FrameLight, &FrameLight), frusta: &[Frustum]) -> layout::Lighting {
-    let narrow = |light: &DirectionalLight| cut_radius(light.solid_angle_sr).is_some();
-    let cut = |light: &DirectionalLight| narrow(light) && picture.lights.iter().any(|own| own.id == light.id && narrow(own));
+    let cut = |light: &DirectionalLight| {
+        picture.lights.iter().find(|own| own.id == light.id).map_or(0.0, |own| map_cut(own.solid_angle_sr).share)
+    };
     let ambient = sh::irradiance(&light.sh, Vec3::Y);
     let falling: Vec<Vec3> = light.lights.iter().map(|l| l.irradiance.max(Vec3::ZERO) * l.direction.y.max(0.0)).collect();
     let before = ambient + falling.iter().sum::<Vec3>();
@@ -199,7 +207,7 @@ fn lighting(stage: &Stage, (light, picture): (&FrameLight, &FrameLight), frusta:
             shadow_half_width_m: frustum.map_or(1.0, |f| f.half_width_m),
             shadow_range_m: frustum.map_or(1.0, |f| f.range_m),
             shadow_texel_m: frustum.map_or(1.0, |f| 2.0 * f.half_width_m / SHADOW_MAP_SIZE as f32),
-            cut: f32::from(u8::from(cut(light))),
+            cut: cut(light),
         };
     }
     out
@@ -212,22 +220,34 @@ fn slot(buffer: &wgpu::Buffer, size: usize) -> wgpu::BindingResource<'_> {
 fn frame_group(
     device: &wgpu::Device,
     layout: &wgpu::BindGroupLayout,
-    (views, lighting, instances, occluders): (&wgpu::Buffer, &wgpu::Buffer, &wgpu::Buffer, &wgpu::Buffer),
+    shared: (&wgpu::Buffer, &wgpu::Buffer, &wgpu::Buffer, &wgpu::Buffer),
     shadow_maps: &wgpu::TextureView,
     shadow_sampler: &wgpu::Sampler,
 ) -> wgpu::BindGroup {
-    device.create_bind_group(&wgpu::BindGroupDescriptor {
-        label: Some("frame"),
-        layout,
-        entries: &[
-            wgpu::BindGroupEntry { binding: 0, resource: slot(views, size_of::<layout::View>()) },
-            wgpu::BindGroupEntry { binding: 1, resource: lighting.as_entire_binding() },
-            wgpu::BindGroupEntry { binding: 2, resource: instances.as_entire_binding() },
-            wgpu::BindGroupEntry { binding: 3, resource: occluders.as_entire_binding() },
-            wgpu::BindGroupEntry { binding: 4, resource: wgpu::BindingResource::TextureView(shadow_maps) },
-            wgpu::BindGroupEntry { binding: 5, resource: wgpu::BindingResource::Sampler(shadow_sampler) },
-        ],
-    })
+    let entries = frame_entries(shared, shadow_maps, shadow_sampler);
+    device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some("frame"), layout, entries: &entries })
+}
+
+fn frame_entries<'a>(
+    (views, lighting, instances, occluders): (&'a wgpu::Buffer, &'a wgpu::Buffer, &'a wgpu::Buffer, &'a wgpu::Buffer),
+    shadow_maps: &'a wgpu::TextureView,
+    shadow_sampler: &'a wgpu::Sampler,
+) -> [wgpu::BindGroupEntry<'a>; 6] {
+    [
+        wgpu::BindGroupEntry { binding: 0, resource: slot(views, size_of::<layout::View>()) },
+        wgpu::BindGroupEntry { binding: 1, resource: lighting.as_entire_binding() },
+        wgpu::BindGroupEntry { binding: 2, resource: instances.as_entire_binding() },
+        wgpu::BindGroupEntry { binding: 3, resource: occluders.as_entire_binding() },
+        wgpu::BindGroupEntry { binding: 4, resource: wgpu::BindingResource::TextureView(shadow_maps) },
+        wgpu::BindGroupEntry { binding: 5, resource: wgpu::BindingResource::Sampler(shadow_sampler) },
+    ]
+}
+
+/// Group 0 of glass: the frame's, and what was drawn before.
+fn glass_entries<'a>(frame: [wgpu::BindGroupEntry<'a>; 6], glass: &'a GlassLayer) -> [wgpu::BindGroupEntry<'a>; 9] {
+    let view = |binding, view| wgpu::BindGroupEntry { binding, resource: wgpu::BindingResource::TextureView(view) };
+    let [a, b, c, d, e, f] = frame;
+    [a, b, c, d, e, f, view(6, &glass.drawn), view(7, &glass.drawn_depth_view), view(8, &glass.back)]
 }
 
 fn instances_group(device: &wgpu::Device, layout: &wgpu::BindGroupLayout, instances: &wgpu::Buffer) -> wgpu::BindGroup {
@@ -246,21 +266,53 @@ pub(super) struct Layer {
     pub(super) samples: Option<wgpu::TextureView>,
     pub(super) resolved: wgpu::TextureView,
     pub(super) depth: wgpu::TextureView,
+    depth_texture: wgpu::Texture,
     pub(super) group: wgpu::BindGroup,
+    /// Where the scene holds glass.
+    pub(super) glass: Option<GlassLayer>,
+}
+
+/// What glass looks at.
+pub(super) struct GlassLayer {
+    /// All that was drawn before, resolved.
+    pub(super) drawn: wgpu::TextureView,
+    drawn_depth: wgpu::Texture,
+    drawn_depth_view: wgpu::TextureView,
+    /// The glass's own far sides.
+    pub(super) back: wgpu::TextureView,
+    pub(super) back_depth: wgpu::TextureView,
 }
 
 impl Layer {
-    pub(super) fn new(device: &wgpu::Device, layout: &wgpu::BindGroupLayout, size: (u32, u32), count: u32) -> Self {
+    pub(super) fn new(device: &wgpu::Device, layout: &wgpu::BindGroupLayout, size: (u32, u32), count: u32, glass: bool) -> Self {
         let attachment = wgpu::TextureUsages::RENDER_ATTACHMENT;
-        let view = |label, samples, format, usage| {
-            texture(device, label, size, 1, samples, format, usage).create_view(&wgpu::TextureViewDescriptor::default())
-        };
-        let resolved = view("layer", 1, LAYER_FORMAT, attachment | wgpu::TextureUsages::TEXTURE_BINDING);
+        let bound = wgpu::TextureUsages::TEXTURE_BINDING;
+        let make = |label, samples, format, usage| texture(device, label, size, 1, samples, format, usage);
+        let view = |texture: &wgpu::Texture| texture.create_view(&wgpu::TextureViewDescriptor::default());
+        let resolved = view(&make("layer", 1, LAYER_FORMAT, attachment | bound));
+        let depth_texture = make("layer depth", count, DEPTH_FORMAT, attachment | wgpu::TextureUsages::COPY_SRC);
+        let glass = glass.then(|| {
+            let drawn_depth = make("drawn depth", count, DEPTH_FORMAT, wgpu::TextureUsages::COPY_DST | attachment | bound);
+            GlassLayer {
+                drawn: view(&make("drawn", 1, LAYER_FORMAT, attachment | bound)),
+                drawn_depth_view: view(&drawn_depth),
+                drawn_depth,
+                back: view(&make("glass, far sides", 1, BACK_FORMAT, attachment | bound)),
+                back_depth: view(&make("glass, far depth", 1, DEPTH_FORMAT, attachment)),
+            }
+        });
         Self {
-            samples: (count > 1).then(|| view("layer samples", count, LAYER_FORMAT, attachment)),
-            depth: view("layer depth", count, DEPTH_FORMAT, attachment),
+            samples: (count > 1).then(|| view(&make("layer samples", count, LAYER_FORMAT, attachment))),
+            depth: view(&depth_texture),
+            depth_texture,
             group: layer_group(device, layout, &resolved),
             resolved,
+            glass,
         }
+    }
+
+    /// Records that glass sees the depth of all that was drawn so far.
+    pub(super) fn keep_depth(&self, encoder: &mut wgpu::CommandEncoder, glass: &GlassLayer) {
+        encoder.copy_texture_to_texture(self.depth_texture.as_image_copy(), glass.drawn_depth.as_image_copy(), self.depth_texture.size());
     }
 }

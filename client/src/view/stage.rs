@@ -124,6 +124,7 @@ impl Stage {
             let used = &self.instances[start as usize..];
             let varies = textured && !part.surface.glass && part.surface.metallic_roughness_texture.is_some();
             let own = used.first().map_or(Surface::Varying, |i| Surface::of(i.roughness, i.glass == 1));
+            self.needs.glass |= own == Surface::Glass;
             self.needs.reflective |= varies || used.iter().any(|i| reflects(i.roughness, i.glass == 1));
             self.draws.push(Draw {
                 geometry: first.object.geometry,

@@ -6,7 +6,7 @@ use std::f32::consts::PI;
 use glam::{Quat, Vec2, Vec3};
 use half::f16;
 use mr360_protocol::light::{DirectionalLight, Lift, LightFrame};
-use mr360_protocol::scene::{Geometry, Material, Object, Scene, Shape, Transform};
+use mr360_protocol::scene::{Geometry, Material, MaterialKind, Object, Scene, Shape, Transform};
 use mr360_protocol::video::{Colour, StereoLayout, Transfer};
 use mr360_shaders::colour::{rgb_from_yuv, srgb_encode};
 use mr360_shaders::equirect::{direction_from_uv, uv_from_direction};
@@ -60,7 +60,7 @@ pub(super) fn draw(gpu: &Gpu, picture: &Picture, light: &LightFrame, scene: &Sce
     bytemuck::pod_collect_to_vec::<u8, f32>(&bytes).chunks_exact(4).map(|t| Vec3::new(t[0], t[1], t[2])).collect()
 }
 
-fn ray_of(camera: &Camera, index: usize) -> Vec3 {
+pub(super) fn ray_of(camera: &Camera, index: usize) -> Vec3 {
     let (x, y) = (index as u32 % SIZE.0, index as u32 / SIZE.0);
     let ndc = Vec2::new((x as f32 + 0.5) / SIZE.0 as f32 * 2.0 - 1.0, 1.0 - (y as f32 + 0.5) / SIZE.1 as f32 * 2.0);
     camera.ray(ndc, SIZE.0 as f32 / SIZE.1 as f32)
@@ -338,6 +338,8 @@ fn diffuse_objects_without_lights_run_two_passes() {
     };
     assert_eq!(names(diffuse(0.8), vec![]), ["objects", "composite"]);
     assert_eq!(names(mirror(), vec![]), ["reflections", "objects", "composite"]);
+    let glass = Material { kind: MaterialKind::Glass, ..mirror() };
+    assert_eq!(names(glass, vec![]), ["reflections", "objects", "glass", "composite"]);
     assert_eq!(names(diffuse(0.8), vec![sun(Vec3::Y, 2.0)]), ["shadow 1", "objects", "composite"]);
 }
 

@@ -92,19 +92,29 @@ impl PassTimer {
     /// Both timestamps of a pass.
     pub fn pass(&mut self, name: &'static str) -> Option<wgpu::RenderPassTimestampWrites<'_>> {
         let at = self.start(name)?;
-        self.writes(Some(at), Some(at + 1))
+        let (query_set, _) = self.queries.as_ref()?;
+        Some(wgpu::RenderPassTimestampWrites { query_set, beginning_of_pass_write_index: Some(at), end_of_pass_write_index: Some(at + 1) })
     }
 
     /// First timestamp of a run of passes that are timed as one.
     pub fn begin(&mut self, name: &'static str) -> Option<wgpu::RenderPassTimestampWrites<'_>> {
         let at = self.start(name)?;
-        self.writes(Some(at), None)
+        let (query_set, _) = self.queries.as_ref()?;
+        Some(wgpu::RenderPassTimestampWrites { query_set, beginning_of_pass_write_index: Some(at), end_of_pass_write_index: None })
     }
 
     /// Last timestamp of the run that [`PassTimer::begin`] started.
     pub fn end(&mut self) -> Option<wgpu::RenderPassTimestampWrites<'_>> {
         let at = (self.names.len() as u32).checked_sub(1)? * 2;
-        self.writes(None, Some(at + 1))
+        let (query_set, _) = self.queries.as_ref()?;
+        Some(wgpu::RenderPassTimestampWrites { query_set, beginning_of_pass_write_index: None, end_of_pass_write_index: Some(at + 1) })
+    }
+
+    /// Both timestamps of a compute pass.
+    pub fn compute_pass(&mut self, name: &'static str) -> Option<wgpu::ComputePassTimestampWrites<'_>> {
+        let at = self.start(name)?;
+        let (query_set, _) = self.queries.as_ref()?;
+        Some(wgpu::ComputePassTimestampWrites { query_set, beginning_of_pass_write_index: Some(at), end_of_pass_write_index: Some(at + 1) })
     }
 
     fn start(&mut self, name: &'static str) -> Option<u32> {
@@ -113,11 +123,6 @@ impl PassTimer {
         }
         self.names.push(name);
         Some((self.names.len() as u32 - 1) * 2)
-    }
-
-    fn writes(&self, beginning: Option<u32>, end: Option<u32>) -> Option<wgpu::RenderPassTimestampWrites<'_>> {
-        let (query_set, _) = self.queries.as_ref()?;
-        Some(wgpu::RenderPassTimestampWrites { query_set, beginning_of_pass_write_index: beginning, end_of_pass_write_index: end })
     }
 
     /// Records the read-back of this frame's times; skipped when earlier frames' are all still on their way.
