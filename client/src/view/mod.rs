@@ -8,6 +8,7 @@
 #[cfg(test)]
 mod energy_tests;
 mod extent;
+mod glass;
 #[cfg(test)]
 mod glass_tests;
 mod models;
@@ -32,7 +33,7 @@ use mr360_protocol::asset::AssetId;
 use mr360_protocol::light::LightFrame;
 use mr360_protocol::scene::{ObjectId, Scene};
 use mr360_shaders::layout;
-use mr360_shaders::source::{Reflections, Surface};
+use mr360_shaders::source::Reflections;
 
 use crate::camera::Camera;
 use crate::environment::{Environment, FrameLight};
@@ -46,6 +47,7 @@ pub use plan::Plan;
 pub use stage::{ModelFault, SceneWarning};
 
 use extent::{Part, touched};
+use glass::is_glass;
 use models::Models;
 use pipelines::{Kind, Layouts, Pipelines, Use};
 use plan::SceneNeeds;
@@ -325,7 +327,7 @@ impl Renderer {
             pass.set_bind_group(0, &self.resources.caster_instances, &[]);
             pass.set_bind_group(1, &self.resources.caster_views, &[at as u32 * VIEW_STRIDE]);
             // Light passes through glass.
-            for draw in self.stage.draws.iter().filter(|draw| draw.surface != Surface::Glass) {
+            for draw in self.stage.draws.iter().filter(|draw| !is_glass(draw)) {
                 if let Some(Ok(model)) = self.models.get(&draw.geometry)
                     && let Some(part) = model.parts.get(draw.part)
                 {
@@ -372,7 +374,7 @@ impl Renderer {
         pass.set_bind_group(0, &self.resources.frame, &[at as u32 * VIEW_STRIDE]);
         pass.set_bind_group(1, environment.bind_group(), &[]);
         pass.set_bind_group(2, environment.reflection_bind_group(), &[]);
-        for draw in self.stage.draws.iter().filter(|draw| draw.surface != Surface::Glass) {
+        for draw in self.stage.draws.iter().filter(|draw| !is_glass(draw)) {
             let Some(Ok(model)) = self.models.get(&draw.geometry) else { continue };
             let Some(part) = model.parts.get(draw.part) else { continue };
             let Some(pipeline) = self.pipelines.get(kind, object_use(draw)) else { continue };
@@ -389,68 +391,6 @@ impl Renderer {
             if let Some(pipeline) = self.pipelines.get(kind, what) {
                 pass.set_pipeline(pipeline);
                 pass.draw(0..4, 0..1);
-                report.draws += 1;
-            }
-        }
-    }
-
-    /// Glass over the layer: its far sides first, then its near ones, which see them and all that was drawn before.
-    fn draw_glass(
-        &mut self,
-        gpu: &Gpu,
-        encoder: &mut wgpu::CommandEncoder,
-        environment: &Environment,
-        kind: Kind,
-        (at, view, part): (usize, &View<'_>, Part),
-        report: &mut FrameReport,
-    ) {
-        let Some((_, layer)) = self.layers.get(at) else { return };
-        let (Some(glass), Some(samples)) = (&layer.glass, &layer.samples) else { return };
-        let draws: Vec<_> = self.stage.draws.iter().filter(|draw| draw.surface == Surface::Glass).collect();
-        let offset = [at as u32 * VIEW_STRIDE];
-        layer.keep_depth(encoder, glass);
-        let group = self.resources.glass_group(gpu, &self.layouts, glass);
-        let back = (&glass.back, None, wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT), wgpu::StoreOp::Store);
-        let front = (samples, Some(&layer.resolved), wgpu::LoadOp::Load, wgpu::StoreOp::Discard);
-        let depths = [
-            depth_attachment(&glass.back_depth, 0.0, wgpu::StoreOp::Discard),
-            wgpu::RenderPassDepthStencilAttachment {
-                depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Load, store: wgpu::StoreOp::Discard }),
-                ..depth_attachment(&layer.depth, 0.0, wgpu::StoreOp::Discard)
-            },
-        ];
-        for (far, ((target, resolve_target, load, store), depth)) in [true, false].into_iter().zip([back, front].into_iter().zip(depths)) {
-            let timestamp_writes = if far { self.timer.begin(GLASS[at]) } else { self.timer.end() };
-            let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-                label: Some(GLASS[at]),
-                color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-                    view: target,
-                    depth_slice: None,
-                    resolve_target,
-                    ops: wgpu::Operations { load, store },
-                })],
-                depth_stencil_attachment: Some(depth),
-                timestamp_writes,
-                ..wgpu::RenderPassDescriptor::default()
-            });
-            look_into(&mut pass, view, part);
-            if far {
-                pass.set_bind_group(0, &self.resources.frame, &offset);
-            } else {
-                pass.set_bind_group(0, &group, &offset);
-                pass.set_bind_group(1, environment.bind_group(), &[]);
-                pass.set_bind_group(2, environment.reflection_bind_group(), &[]);
-            }
-            for draw in &draws {
-                let Some(Ok(model)) = self.models.get(&draw.geometry) else { continue };
-                let Some(part) = model.parts.get(draw.part) else { continue };
-                let what = if far { Use::GlassBack } else { object_use(draw) };
-                let Some(pipeline) = self.pipelines.get(kind, what) else { continue };
-                pass.set_pipeline(pipeline);
-                if !far {
-                    pass.set_bind_group(3, if draw.textured { &part.material } else { self.models.plain() }, &[]);
-                }
-                draw_part(&mut pass, part, draw);
                 report.draws += 1;
             }
         }
@@ -500,7 +440,7 @@ fn look_into(pass: &mut wgpu::RenderPass<'_>, view: &View<'_>, part: Part) {
 }
 
 fn object_use(draw: &stage::Draw) -> Use {
-    if draw.surface == Surface::Glass {
+    if is_glass(draw) {
         return Use::Glass { textured: draw.textured };
     }
     Use::Object { surface: draw.surface, textured: draw.textured, double_sided: draw.double_sided }

@@ -1,0 +1,109 @@
+//! Glass, drawn after everything else: its far sides first, then its near ones, which see them and all that was drawn before.
+
+use mr360_shaders::source::Surface;
+
+use super::extent::Part;
+use super::pipelines::{Kind, Use};
+use super::resources::VIEW_STRIDE;
+use super::{FrameReport, GLASS, Renderer, View, depth_attachment, draw_part, look_into, stage};
+use crate::environment::Environment;
+use crate::gpu::Gpu;
+
+impl Renderer {
+    /// Draws the glass of a view over its layer, which [`Renderer::draw_layer`] left with its samples and depth.
+    pub(super) fn draw_glass(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        environment: &Environment,
+        kind: Kind,
+        (at, view, part): (usize, &View<'_>, Part),
+        report: &mut FrameReport,
+    ) {
+        self.draw_far_sides(encoder, kind, (at, view, part), report);
+        self.draw_near_sides(gpu, encoder, environment, kind, (at, view, part), report);
+    }
+
+    fn draw_far_sides(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        kind: Kind,
+        (at, view, part): (usize, &View<'_>, Part),
+        report: &mut FrameReport,
+    ) {
+        let Some((_, layer)) = self.layers.get(at) else { return };
+        let (Some(glass), Some(pipeline)) = (&layer.glass, self.pipelines.get(kind, Use::GlassBack)) else { return };
+        layer.keep_depth(encoder, glass);
+        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some(GLASS[at]),
+            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                view: &glass.back,
+                depth_slice: None,
+                resolve_target: None,
+                ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT), store: wgpu::StoreOp::Store },
+            })],
+            depth_stencil_attachment: Some(depth_attachment(&glass.back_depth, 0.0, wgpu::StoreOp::Discard)),
+            timestamp_writes: self.timer.begin(GLASS[at]),
+            ..wgpu::RenderPassDescriptor::default()
+        });
+        look_into(&mut pass, view, part);
+        pass.set_pipeline(pipeline);
+        pass.set_bind_group(0, &self.resources.frame, &[at as u32 * VIEW_STRIDE]);
+        for draw in self.stage.draws.iter().filter(|draw| is_glass(draw)) {
+            if let Some(Ok(model)) = self.models.get(&draw.geometry)
+                && let Some(part) = model.parts.get(draw.part)
+            {
+                draw_part(&mut pass, part, draw);
+                report.draws += 1;
+            }
+        }
+    }
+
+    fn draw_near_sides(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        environment: &Environment,
+        kind: Kind,
+        (at, view, part): (usize, &View<'_>, Part),
+        report: &mut FrameReport,
+    ) {
+        let Some((_, layer)) = self.layers.get(at) else { return };
+        let (Some(glass), Some(samples)) = (&layer.glass, &layer.samples) else { return };
+        let group = self.resources.glass_group(gpu, &self.layouts, glass);
+        let kept = wgpu::Operations { load: wgpu::LoadOp::Load, store: wgpu::StoreOp::Discard };
+        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some(GLASS[at]),
+            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                view: samples,
+                depth_slice: None,
+                resolve_target: Some(&layer.resolved),
+                ops: wgpu::Operations { load: wgpu::LoadOp::Load, store: wgpu::StoreOp::Discard },
+            })],
+            depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
+                view: &layer.depth,
+                depth_ops: Some(kept),
+                stencil_ops: None,
+            }),
+            timestamp_writes: self.timer.end(),
+            ..wgpu::RenderPassDescriptor::default()
+        });
+        look_into(&mut pass, view, part);
+        pass.set_bind_group(0, &group, &[at as u32 * VIEW_STRIDE]);
+        pass.set_bind_group(1, environment.bind_group(), &[]);
+        pass.set_bind_group(2, environment.reflection_bind_group(), &[]);
+        for draw in self.stage.draws.iter().filter(|draw| is_glass(draw)) {
+            let Some(Ok(model)) = self.models.get(&draw.geometry) else { continue };
+            let Some(part) = model.parts.get(draw.part) else { continue };
+            let Some(pipeline) = self.pipelines.get(kind, Use::Glass { textured: draw.textured }) else { continue };
+            pass.set_pipeline(pipeline);
+            pass.set_bind_group(3, if draw.textured { &part.material } else { self.models.plain() }, &[]);
+            draw_part(&mut pass, part, draw);
+            report.draws += 1;
+        }
+    }
+}
+
+pub(super) fn is_glass(draw: &stage::Draw) -> bool {
+    draw.surface == Surface::Glass
+}
