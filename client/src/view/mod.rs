@@ -14,6 +14,8 @@ mod probe_tests;
 #[cfg(test)]
 mod reflection_tests;
 mod resources;
+#[cfg(test)]
+mod shadow_tests;
 pub mod shadows;
 mod stage;
 #[cfg(test)]
@@ -25,6 +27,7 @@ use mr360_protocol::asset::AssetId;
 use mr360_protocol::light::LightFrame;
 use mr360_protocol::scene::{ObjectId, Scene};
 use mr360_shaders::layout;
+use mr360_shaders::source::Surface;
 
 use crate::camera::Camera;
 use crate::environment::{Environment, FrameLight};
@@ -111,6 +114,12 @@ impl Renderer {
         self.models.follow(gpu, scene, model);
         let (stage, warnings) = Stage::new(scene, &self.models);
         self.resources.write_scene(gpu, &self.layouts, &stage);
+        if stage.occluders_lost > 0 && self.stage.occluders_lost == 0 {
+            let (lost, most) = (stage.occluders_lost, layout::MAX_OCCLUDERS);
+            tracing::warn!(
+                "only the {most} largest of the objects shade what is beside them, {lost} do not; make one model of several objects"
+            );
+        }
         self.stage = stage;
         warnings
     }
@@ -210,13 +219,14 @@ impl Renderer {
                 timestamp_writes: self.timer.pass(name),
                 ..wgpu::RenderPassDescriptor::default()
             });
-            pass.set_pipeline(&self.pipelines.caster);
             pass.set_bind_group(0, &self.resources.caster_instances, &[]);
             pass.set_bind_group(1, &self.resources.caster_views, &[at as u32 * VIEW_STRIDE]);
             for draw in &self.stage.draws {
                 if let Some(Ok(model)) = self.models.get(&draw.geometry)
                     && let Some(part) = model.parts.get(draw.part)
                 {
+                    let sheer = draw.surface == Surface::Glass;
+                    pass.set_pipeline(if sheer { &self.pipelines.sheer_caster } else { &self.pipelines.caster });
                     draw_part(&mut pass, part, draw);
                     report.draws += 1;
                 }

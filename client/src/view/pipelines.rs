@@ -31,7 +31,10 @@ pub(super) struct Layouts {
 
 /// The pipelines in use. Those that see the video are made for its kind and for the kind of surface, when first needed.
 pub(super) struct Pipelines {
+    /// Of opaque casters.
     pub(super) caster: wgpu::RenderPipeline,
+    /// Of casters that let a part of the light pass.
+    pub(super) sheer_caster: wgpu::RenderPipeline,
     object: wgpu::ShaderModule,
     ground: wgpu::ShaderModule,
     composite: wgpu::ShaderModule,
@@ -106,7 +109,7 @@ impl Layouts {
 struct Recipe<'a> {
     label: &'a str,
     vertex: &'a str,
-    fragment: Option<(&'a str, wgpu::TextureFormat)>,
+    fragment: Option<(&'a str, Option<wgpu::TextureFormat>)>,
     layouts: &'a [Option<&'a wgpu::BindGroupLayout>],
     mesh: bool,
     cull: Option<wgpu::Face>,
@@ -128,7 +131,7 @@ fn build(gpu: &Gpu, module: &wgpu::ShaderModule, recipe: &Recipe<'_>) -> wgpu::R
         step_mode: wgpu::VertexStepMode::Vertex,
         attributes: &attributes,
     })];
-    let targets: Vec<_> = recipe.fragment.iter().map(|(_, format)| Some(wgpu::ColorTargetState::from(*format))).collect();
+    let targets: Vec<_> = recipe.fragment.iter().filter_map(|(_, format)| *format).map(|format| Some(format.into())).collect();
     let strip = !recipe.mesh && recipe.vertex != "vs_fullscreen";
     let topology = if strip { wgpu::PrimitiveTopology::TriangleStrip } else { wgpu::PrimitiveTopology::TriangleList };
     gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
@@ -173,12 +176,15 @@ impl Pipelines {
             layouts: &[Some(&layouts.casters), Some(&layouts.caster)],
             mesh: true,
             cull: None,
-            depth: Some(depth(wgpu::CompareFunction::Less, wgpu::DepthBiasState { constant: 1, slope_scale: 1.0, clamp: 0.0 })),
+            depth: Some(depth(wgpu::CompareFunction::Less, wgpu::DepthBiasState::default())),
             samples: 1,
             constants: &[],
         };
+        let sheer = Recipe { label: "sheer caster", vertex: "vs_sheer", fragment: Some(("fs_sheer", None)), ..casters.clone() };
+        let module = gpu.shader(Module::Caster)?;
         Ok(Self {
-            caster: build(gpu, &gpu.shader(Module::Caster)?, &casters),
+            caster: build(gpu, &module, &casters),
+            sheer_caster: build(gpu, &module, &sheer),
             object: gpu.shader(Module::Object)?,
             ground: gpu.shader(Module::Ground)?,
             composite: gpu.shader(Module::Composite)?,
@@ -209,7 +215,7 @@ impl Pipelines {
         let ground = Recipe {
             label: "ground",
             vertex: "vs_ground",
-            fragment: Some(("fs_ground", LAYER_FORMAT)),
+            fragment: Some(("fs_ground", Some(LAYER_FORMAT))),
             layouts: &[Some(&layouts.frame), Some(&video)],
             mesh: false,
             cull: Some(wgpu::Face::Back),
@@ -224,7 +230,7 @@ impl Pipelines {
                 let recipe = Recipe {
                     label: "object",
                     vertex: "vs_object",
-                    fragment: Some(("fs_object", LAYER_FORMAT)),
+                    fragment: Some(("fs_object", Some(LAYER_FORMAT))),
                     layouts: &[Some(&layouts.frame), Some(&video), Some(&reflection), Some(&layouts.material)],
                     mesh: true,
                     cull: (!double_sided).then_some(wgpu::Face::Back),
@@ -236,8 +242,11 @@ impl Pipelines {
             }
             Use::Ground => build(gpu, &self.ground, &Recipe { constants: &constants, ..ground }),
             Use::Horizon => {
-                let fragment = Some(("fs_horizon", LAYER_FORMAT));
-                build(gpu, &self.ground, &Recipe { label: "horizon", vertex: "vs_horizon", fragment, ..ground })
+                let fragment = Some(("fs_horizon", Some(LAYER_FORMAT)));
+                // It lies in the ground's own plane, and gives way to it too.
+                let farther = wgpu::DepthBiasState { constant: -32, slope_scale: -4.0, clamp: 0.0 };
+                let depth = Some(depth(wgpu::CompareFunction::Greater, farther));
+                build(gpu, &self.ground, &Recipe { label: "horizon", vertex: "vs_horizon", fragment, depth, ..ground })
             }
             Use::Composite => {
                 let eight_bits = matches!(self.target, wgpu::TextureFormat::Rgba8Unorm | wgpu::TextureFormat::Bgra8Unorm);
@@ -245,7 +254,7 @@ impl Pipelines {
                 let recipe = Recipe {
                     label: "composite",
                     vertex: "vs_fullscreen",
-                    fragment: Some(("fs_composite", self.target)),
+                    fragment: Some(("fs_composite", Some(self.target))),
                     layouts: &[Some(&layouts.frame), Some(&video), Some(&layouts.layer)],
                     cull: None,
                     depth: None,

@@ -1,7 +1,7 @@
 //! Buffers, shadow maps and render targets of the view passes.
 
 use bytemuck::Zeroable;
-use glam::{Mat4, Vec3};
+use glam::Vec3;
 use mr360_protocol::light::DirectionalLight;
 use mr360_shaders::layout::{self, MAX_OCCLUDERS, SHADOW_MAP_SIZE};
 use mr360_shaders::sh;
@@ -167,17 +167,12 @@ fn lighting(stage: &Stage, light: &FrameLight, frusta: &[Frustum]) -> layout::Li
         (out.ground_min, out.ground_max) = ([ground.min.x, ground.min.z], [ground.max.x, ground.max.z]);
     }
     for (at, (to, light)) in out.lights.iter_mut().zip(&light.lights).enumerate() {
-        let frustum = frusta.get(at);
         *to = layout::Light {
-            shadow_from_world: frustum.map_or(Mat4::IDENTITY, |f| f.shadow_from_world).to_cols_array_2d(),
             direction: light.direction.to_array(),
             tan_radius: tan_radius(light.solid_angle_sr),
             irradiance: light.irradiance.max(Vec3::ZERO).to_array(),
-            shadow_layer: frustum.map_or(-1, |_| at as i32),
-            shadow_half_width_m: frustum.map_or(1.0, |f| f.half_width_m),
-            shadow_range_m: frustum.map_or(1.0, |f| f.range_m),
-            shadow_texel_m: frustum.map_or(1.0, |f| 2.0 * f.half_width_m / SHADOW_MAP_SIZE as f32),
             cut: f32::from(u8::from(cut_radius(light.solid_angle_sr).is_some())),
+            objects: frusta.get(at).map_or(layout::ShadowMap::NONE, |frustum| frustum.map(at as i32)),
         };
     }
     out

@@ -66,6 +66,8 @@ pub(super) struct Stage {
     pub(super) instances: Vec<layout::Instance>,
     pub(super) draws: Vec<Draw>,
     pub(super) occluders: Vec<layout::Occluder>,
+    /// Those that found no room, the smallest.
+    pub(super) occluders_lost: usize,
     pub(super) casters: Vec<Bounds>,
     pub(super) targets: Vec<Target>,
     pub(super) needs: SceneNeeds,
@@ -110,7 +112,7 @@ impl Stage {
         for run in placed.chunk_by(|a, b| key(a) == key(b)) {
             stage.add_run(run);
         }
-        stage.occluders = occluders(&placed);
+        (stage.occluders, stage.occluders_lost) = occluders(&placed);
         stage.needs.objects = placed.len();
         (stage, warnings)
     }
@@ -207,7 +209,8 @@ fn instance(placed: &Placed<'_>, part: &GpuPart) -> layout::Instance {
     }
 }
 
-fn occluders(placed: &[Placed<'_>]) -> Vec<layout::Occluder> {
+/// The spheres that stand for the objects, and how many found no room.
+fn occluders(placed: &[Placed<'_>]) -> (Vec<layout::Occluder>, usize) {
     let spheres_of = |placed: &Placed<'_>, detailed: bool| {
         let (transform, model) = (placed.object.transform, placed.model);
         let spheres = if detailed {
@@ -230,7 +233,8 @@ fn occluders(placed: &[Placed<'_>]) -> Vec<layout::Occluder> {
     if all.len() > MAX_OCCLUDERS {
         all = placed.iter().flat_map(|p| spheres_of(p, false)).collect();
         all.sort_by(|a, b| b.radius.total_cmp(&a.radius));
-        all.truncate(MAX_OCCLUDERS);
     }
-    all
+    let lost = all.len().saturating_sub(MAX_OCCLUDERS);
+    all.truncate(MAX_OCCLUDERS);
+    (all, lost)
 }
