@@ -71,6 +71,8 @@ pub struct Light {
     pub cut: f32,
     /// Of the virtual objects.
     pub objects: ShadowMap,
+    /// Of the real place.
+    pub place: ShadowMap,
 }
 
 /// `Lighting`: the light of the frame and what it needs to know of the scene.
@@ -290,7 +292,7 @@ mod tests {
     fn mirrors_match_the_shaders() {
         mirrors!(Object, View { clip_from_world, world_from_ndc, position, eye, size_px, layer_origin, layer_size, padding });
         mirrors!(Object, ShadowMap { from_world, half_width_m, range_m, texel_m, layer });
-        mirrors!(Object, Light { direction, tan_radius, irradiance, cut, objects });
+        mirrors!(Object, Light { direction, tan_radius, irradiance, cut, objects, place });
         mirrors!(
             Object,
             Lighting {

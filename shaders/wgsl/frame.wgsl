@@ -39,6 +39,8 @@ struct Light {
     cut: f32,
     // Of the virtual objects.
     objects: ShadowMap,
+    // Of the real place.
+    place: ShadowMap,
 }
 
 struct Lighting {

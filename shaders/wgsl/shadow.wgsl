@@ -3,6 +3,9 @@
 
 #import "frame.wgsl"
 
+// The scene has meshes of the place, which cast shadows of their own.
+override PLACE: bool = false;
+
 // Pairs of taps, each with its mirror image at the centre: what half of a disc sees is exactly a half.
 // Of the search, and of the filter over a narrow penumbra, where texels overlap, and over a wide one.
 const SEARCH_PAIRS: u32 = 8u;
@@ -99,7 +102,21 @@ fn visibility_in(map: ShadowMap, light_direction: vec3<f32>, tan_radius: f32, wo
 }
 
 // Share of a light that the objects let through to a point.
-fn light_visibility(index: u32, world: vec3<f32>, normal: vec3<f32>) -> f32 {
+fn objects_visibility(index: u32, world: vec3<f32>, normal: vec3<f32>) -> f32 {
     let light = lighting.lights[index];
     return visibility_in(light.objects, light.direction, light.tan_radius, world, normal);
+}
+
+// Share of a light that the real place lets through to a point.
+fn place_visibility(index: u32, world: vec3<f32>, normal: vec3<f32>) -> f32 {
+    if !PLACE {
+        return 1.0;
+    }
+    let light = lighting.lights[index];
+    return visibility_in(light.place, light.direction, light.tan_radius, world, normal);
+}
+
+// Share of a light that reaches a virtual surface, past objects and place.
+fn light_visibility(index: u32, world: vec3<f32>, normal: vec3<f32>) -> f32 {
+    return objects_visibility(index, world, normal) * place_visibility(index, world, normal);
 }

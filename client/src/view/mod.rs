@@ -8,6 +8,9 @@
 mod extent;
 mod models;
 mod pipelines;
+mod place;
+#[cfg(test)]
+mod place_tests;
 pub mod plan;
 #[cfg(test)]
 mod probe_tests;
@@ -37,7 +40,7 @@ use crate::scene::pick::{Ray, nearest};
 use crate::stats::PassTime;
 
 pub use plan::Plan;
-pub use stage::{ModelFault, SceneWarning};
+pub use stage::{Element, ModelFault, SceneWarning};
 
 use extent::{Part, touched};
 use models::Models;
@@ -84,6 +87,8 @@ pub struct Renderer {
     resources: Resources,
     models: Models,
     stage: Stage,
+    /// What the place's shadow maps hold.
+    place_shown: Vec<Frustum>,
     light: FrameLight,
     light_changed: bool,
     visible: bool,
@@ -104,7 +109,19 @@ impl Renderer {
         let models = Models::new(gpu, &layouts.material);
         let timer = PassTimer::new(gpu);
         let (stage, light) = (Stage::default(), FrameLight::default());
-        Ok(Self { layouts, pipelines, resources, models, stage, light, light_changed: true, visible: true, layers: Vec::new(), timer })
+        Ok(Self {
+            layouts,
+            pipelines,
+            resources,
+            models,
+            stage,
+            place_shown: Vec::new(),
+            light,
+            light_changed: true,
+            visible: true,
+            layers: Vec::new(),
+            timer,
+        })
     }
 
     /// Shows this scene from the next frame on. Geometry stays on the GPU while some object shows it. `model` gives
@@ -121,6 +138,7 @@ impl Renderer {
             );
         }
         self.stage = stage;
+        self.place_shown.clear();
         warnings
     }
 
@@ -161,10 +179,12 @@ impl Renderer {
         }
         let frusta: Vec<Frustum> =
             self.light.lights.iter().take(plan.shadows).map(|light| self.resources.frustum(light, &self.stage)).collect();
-        self.resources.write_frame(gpu, &self.stage, &self.light, &frusta);
+        let place = self.place_frusta(frusta.len());
+        self.resources.write_frame(gpu, &self.stage, &self.light, &frusta, &place);
         let mut report = FrameReport { plan, ..FrameReport::default() };
         self.draw_shadows(encoder, frusta.len(), &mut report);
-        let kind = Kind { video: environment.kind(), sh_count: self.light.sh_count };
+        self.draw_place_shadows(encoder, place, &mut report);
+        let kind = Kind { video: environment.kind(), sh_count: self.light.sh_count, place: !self.stage.place.draws.is_empty() };
         self.prepare(gpu, kind, plan);
         let ground = self.stage.changed_ground(&self.light, frusta.len());
         for (at, view) in views.iter().enumerate() {
@@ -186,7 +206,12 @@ impl Renderer {
     /// Makes what pipelines this frame needs and earlier ones did not.
     fn prepare(&mut self, gpu: &Gpu, kind: Kind, plan: Plan) {
         let objects = self.stage.draws.iter().map(object_use);
-        let others = [(Use::Composite, true), (Use::Ground, plan.objects), (Use::Horizon, plan.ground_hides)];
+        let others = [
+            (Use::Composite, true),
+            (Use::Ground, plan.objects),
+            (Use::Horizon, plan.ground_hides),
+            (Use::Place, plan.objects && kind.place),
+        ];
         for what in objects.chain(others.into_iter().filter_map(|(what, needed)| needed.then_some(what))) {
             self.pipelines.prepare(gpu, &self.layouts, kind, what);
         }
@@ -275,6 +300,7 @@ impl Renderer {
             report.draws += 1;
         }
         report.triangles += self.stage.triangles;
+        self.draw_place(&mut pass, kind, report);
         // After the objects, so that ground they cover is not shaded. From beneath there is no ground to see.
         let changed = (ground, Use::Ground);
         let hiding = (report.plan.ground_hides && view.camera.position.y > self.stage.ground_y, Use::Horizon);

@@ -48,6 +48,8 @@ pub(super) struct Kind {
     pub(super) video: VideoKind,
     /// 9 or 25.
     pub(super) sh_count: usize,
+    /// The scene has meshes of the place.
+    pub(super) place: bool,
 }
 
 /// What a pipeline draws.
@@ -55,6 +57,7 @@ pub(super) struct Kind {
 pub(super) enum Use {
     Object { surface: Surface, textured: bool, double_sided: bool },
     Ground,
+    Place,
     Horizon,
     Composite,
 }
@@ -225,7 +228,7 @@ impl Pipelines {
         };
         match what {
             Use::Object { surface, textured, double_sided } => {
-                constants.extend([("SURFACE", f64::from(surface.index())), ("TEXTURED", flag(textured))]);
+                constants.extend([("SURFACE", f64::from(surface.index())), ("TEXTURED", flag(textured)), ("PLACE", flag(kind.place))]);
                 let reflection = reflection_layout(&gpu.device);
                 let recipe = Recipe {
                     label: "object",
@@ -240,7 +243,16 @@ impl Pipelines {
                 };
                 build(gpu, &self.object, &recipe)
             }
-            Use::Ground => build(gpu, &self.ground, &Recipe { constants: &constants, ..ground }),
+            Use::Ground => {
+                constants.push(("PLACE", flag(kind.place)));
+                build(gpu, &self.ground, &Recipe { constants: &constants, ..ground })
+            }
+            Use::Place => {
+                constants.push(("PLACE", 1.0));
+                let fragment = Some(("fs_place", Some(LAYER_FORMAT)));
+                let place = Recipe { label: "place", vertex: "vs_place", mesh: true, cull: None, ..ground };
+                build(gpu, &self.ground, &Recipe { fragment, constants: &constants, ..place })
+            }
             Use::Horizon => {
                 let fragment = Some(("fs_horizon", Some(LAYER_FORMAT)));
                 // It lies in the ground's own plane, and gives way to it too.

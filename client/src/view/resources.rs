@@ -67,16 +67,8 @@ impl Resources {
         let lighting = buffer(device, "lighting", size_of::<layout::Lighting>(), wgpu::BufferUsages::UNIFORM);
         let instances = buffer(device, "instances", size_of::<layout::Instance>() * 16, wgpu::BufferUsages::STORAGE);
         let occluders = buffer(device, "occluders", size_of::<layout::Occluder>() * MAX_OCCLUDERS, wgpu::BufferUsages::UNIFORM);
-        let casters = buffer(device, "casters", MAX_SHADOWS * VIEW_STRIDE as usize, wgpu::BufferUsages::UNIFORM);
-        let attachment = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
-        let maps = texture(device, "shadow maps", (SHADOW_MAP_SIZE, SHADOW_MAP_SIZE), MAX_SHADOWS as u32, 1, DEPTH_FORMAT, attachment);
-        let shadow_maps =
-            maps.create_view(&wgpu::TextureViewDescriptor { dimension: Some(wgpu::TextureViewDimension::D2Array), ..Default::default() });
-        let layer = |base_array_layer| {
-            let dimension = Some(wgpu::TextureViewDimension::D2);
-            maps.create_view(&wgpu::TextureViewDescriptor { dimension, base_array_layer, array_layer_count: Some(1), ..Default::default() })
-        };
-        let shadow_layers = (0..MAX_SHADOWS as u32).map(layer).collect();
+        let casters = buffer(device, "casters", 2 * MAX_SHADOWS * VIEW_STRIDE as usize, wgpu::BufferUsages::UNIFORM);
+        let (shadow_maps, shadow_layers) = shadow_targets(device, MAX_SHADOWS);
         let shadow_sampler = device.create_sampler(&wgpu::SamplerDescriptor {
             label: Some("shadow"),
             mag_filter: wgpu::FilterMode::Linear,
@@ -114,8 +106,16 @@ impl Resources {
     /// Writes what stays until the scene changes.
     pub(super) fn write_scene(&mut self, gpu: &Gpu, layouts: &Layouts, stage: &Stage) {
         let bytes: &[u8] = bytemuck::cast_slice(&stage.instances);
-        if bytes.len() as u64 > self.instances.size() {
+        let outgrown = bytes.len() as u64 > self.instances.size();
+        // After the objects' maps those of the place, in scenes that have one.
+        let maps = if stage.place.casters.is_empty() { MAX_SHADOWS } else { 2 * MAX_SHADOWS };
+        if outgrown {
             self.instances = buffer(&gpu.device, "instances", bytes.len().next_power_of_two(), wgpu::BufferUsages::STORAGE);
+        }
+        if outgrown || maps != self.shadow_layers.len() {
+            if maps != self.shadow_layers.len() {
+                (self.shadow_maps, self.shadow_layers) = shadow_targets(&gpu.device, maps);
+            }
             let shared = (&self.views, &self.lighting, &self.instances, &self.occluders);
             self.frame = frame_group(&gpu.device, &layouts.frame, shared, &self.shadow_maps, &self.shadow_sampler);
             self.caster_instances = instances_group(&gpu.device, &layouts.casters, &self.instances);
@@ -132,12 +132,12 @@ impl Resources {
     }
 
     /// Writes what changes with the light: lighting, and the casters' views.
-    pub(super) fn write_frame(&self, gpu: &Gpu, stage: &Stage, light: &FrameLight, frusta: &[Frustum]) {
-        for (at, frustum) in frusta.iter().enumerate() {
+    pub(super) fn write_frame(&self, gpu: &Gpu, stage: &Stage, light: &FrameLight, frusta: &[Frustum], place: &[Frustum]) {
+        for (at, frustum) in (0..).zip(frusta).chain((MAX_SHADOWS..).zip(place)) {
             let caster = layout::Caster { clip_from_world: frustum.clip_from_world.to_cols_array_2d() };
             gpu.queue.write_buffer(&self.casters, at as u64 * u64::from(VIEW_STRIDE), bytemuck::bytes_of(&caster));
         }
-        gpu.queue.write_buffer(&self.lighting, 0, bytemuck::bytes_of(&lighting(stage, light, frusta)));
+        gpu.queue.write_buffer(&self.lighting, 0, bytemuck::bytes_of(&lighting(stage, light, frusta, place)));
     }
 
     pub(super) fn write_view(&self, gpu: &Gpu, at: usize, view: &View<'_>, layer: Part) {
@@ -145,7 +145,7 @@ impl Resources {
     }
 }
 
-fn lighting(stage: &Stage, light: &FrameLight, frusta: &[Frustum]) -> layout::Lighting {
+fn lighting(stage: &Stage, light: &FrameLight, frusta: &[Frustum], place: &[Frustum]) -> layout::Lighting {
     let ambient = sh::irradiance(&light.sh, Vec3::Y);
     let falling: Vec<Vec3> = light.lights.iter().map(|l| l.irradiance.max(Vec3::ZERO) * l.direction.y.max(0.0)).collect();
     let before = ambient + falling.iter().sum::<Vec3>();
@@ -173,9 +173,22 @@ fn lighting(stage: &Stage, light: &FrameLight, frusta: &[Frustum]) -> layout::Li
             irradiance: light.irradiance.max(Vec3::ZERO).to_array(),
             cut: f32::from(u8::from(cut_radius(light.solid_angle_sr).is_some())),
             objects: frusta.get(at).map_or(layout::ShadowMap::NONE, |frustum| frustum.map(at as i32)),
+            place: place.get(at).map_or(layout::ShadowMap::NONE, |frustum| frustum.map((MAX_SHADOWS + at) as i32)),
         };
     }
     out
+}
+
+/// This many shadow maps, and each of them.
+fn shadow_targets(device: &wgpu::Device, count: usize) -> (wgpu::TextureView, Vec<wgpu::TextureView>) {
+    let attachment = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
+    let maps = texture(device, "shadow maps", (SHADOW_MAP_SIZE, SHADOW_MAP_SIZE), count as u32, 1, DEPTH_FORMAT, attachment);
+    let all = maps.create_view(&wgpu::TextureViewDescriptor { dimension: Some(wgpu::TextureViewDimension::D2Array), ..Default::default() });
+    let layer = |base_array_layer| {
+        let dimension = Some(wgpu::TextureViewDimension::D2);
+        maps.create_view(&wgpu::TextureViewDescriptor { dimension, base_array_layer, array_layer_count: Some(1), ..Default::default() })
+    };
+    (all, (0..count as u32).map(layer).collect())
 }
 
 fn slot(buffer: &wgpu::Buffer, size: usize) -> wgpu::BindingResource<'_> {

@@ -9,21 +9,21 @@ use mr360_protocol::scene::{Geometry, Material, Object, ObjectId, Scene, Shape, 
 
 use super::*;
 use crate::environment::light::tan_radius;
-use crate::render::{Still, ambient_light};
+use crate::render::{Models, Still, ambient_light};
 use crate::view::tests::panorama;
 
-const GROUND_Y: f32 = -1.6;
+pub(super) const GROUND_Y: f32 = -1.6;
 
 /// What stands in the light, in closed form. All are upright.
 #[derive(Debug, Clone, Copy)]
-enum Solid {
+pub(super) enum Solid {
     Ball { center: Vec3, radius: f32 },
     Cylinder { center: Vec3, radius: f32, half_height: f32 },
     Block { center: Vec3, half: Vec3 },
 }
 
 impl Solid {
-    fn object(self, id: u32) -> Object {
+    pub(super) fn object(self, id: u32) -> Object {
         let (shape, position, scale) = match self {
             Self::Ball { center, radius } => (Shape::Sphere, center, Vec3::splat(2.0 * radius)),
             Self::Cylinder { center, radius, half_height } => (Shape::Cylinder, center, Vec3::new(radius, half_height, radius) * 2.0),
@@ -40,7 +40,7 @@ impl Solid {
     }
 
     /// A ray that begins outside meets it.
-    fn meets(self, origin: Vec3, direction: Vec3) -> bool {
+    pub(super) fn meets(self, origin: Vec3, direction: Vec3) -> bool {
         match self {
             Self::Ball { center, radius } => {
                 let to = center - origin;
@@ -81,21 +81,21 @@ fn slab(o: f32, d: f32, half: f32) -> (f32, f32) {
     (a.min(b), a.max(b))
 }
 
-fn light(direction: Vec3, solid_angle_sr: f32, irradiance: Vec3, id: u32) -> DirectionalLight {
+pub(super) fn light(direction: Vec3, solid_angle_sr: f32, irradiance: Vec3, id: u32) -> DirectionalLight {
     DirectionalLight { id, direction: direction.normalize(), irradiance, solid_angle_sr }
 }
 
 /// Towards a light of this azimuth about +y from +z, and elevation.
-fn towards(azimuth_deg: f32, elevation_deg: f32) -> Vec3 {
+pub(super) fn towards(azimuth_deg: f32, elevation_deg: f32) -> Vec3 {
     let (azimuth, elevation) = (azimuth_deg.to_radians(), elevation_deg.to_radians());
     Vec3::new(azimuth.sin() * elevation.cos(), elevation.sin(), azimuth.cos() * elevation.cos())
 }
 
 /// Rays that show a share to half a hundredth.
-const RAYS: u32 = 1024;
+pub(super) const RAYS: u32 = 1024;
 
 /// Share of a light's disc that is seen from a point, by rays spread evenly over the disc that the shaders assume.
-fn seen_of_light(point: Vec3, light: &DirectionalLight, solids: &[Solid], rays: u32) -> f32 {
+pub(super) fn seen_of_light(point: Vec3, light: &DirectionalLight, solids: &[Solid], rays: u32) -> f32 {
     let (right, up) = light.direction.any_orthonormal_pair();
     let radius = tan_radius(light.solid_angle_sr);
     let free = (0..rays).filter(|i| {
@@ -106,26 +106,26 @@ fn seen_of_light(point: Vec3, light: &DirectionalLight, solids: &[Solid], rays: 
     free.count() as f32 / rays as f32
 }
 
-struct Eye {
-    camera: Camera,
+pub(super) struct Eye {
+    pub(super) camera: Camera,
     size: (u32, u32),
 }
 
 impl Eye {
-    fn at(position: Vec3, target: Vec3, fov_y_rad: f32, size: (u32, u32)) -> Self {
+    pub(super) fn at(position: Vec3, target: Vec3, fov_y_rad: f32, size: (u32, u32)) -> Self {
         let ahead = (target - position).normalize();
         let camera = Camera { position, ..Camera::looking((-ahead.x).atan2(-ahead.z), ahead.y.asin(), fov_y_rad) };
         Self { camera, size }
     }
 
-    fn ray(&self, pixel: usize) -> Vec3 {
+    pub(super) fn ray(&self, pixel: usize) -> Vec3 {
         let (x, y) = (pixel as u32 % self.size.0, pixel as u32 / self.size.0);
         let (width, height) = (self.size.0 as f32, self.size.1 as f32);
         self.camera.ray(Vec2::new((x as f32 + 0.5) / width * 2.0 - 1.0, 1.0 - (y as f32 + 0.5) / height * 2.0), width / height)
     }
 
     /// Points of the ground that no solid hides, by pixel.
-    fn ground(&self, solids: &[Solid]) -> Vec<Option<Vec3>> {
+    pub(super) fn ground(&self, solids: &[Solid]) -> Vec<Option<Vec3>> {
         let point = |pixel: usize| {
             let ray = self.ray(pixel);
             let distance = (GROUND_Y - self.camera.position.y) / ray.y;
@@ -137,10 +137,14 @@ impl Eye {
 
     /// Radiance over a panorama of 0.5 all around, without ambient light.
     fn draw(&self, gpu: &Gpu, objects: Vec<Object>, lights: Vec<DirectionalLight>) -> Vec<Vec3> {
+        let scene = Scene { ground_y: GROUND_Y, objects, ..Scene::default() };
+        self.draw_scene(gpu, &scene, &HashMap::new(), lights)
+    }
+
+    pub(super) fn draw_scene(&self, gpu: &Gpu, scene: &Scene, assets: &Models, lights: Vec<DirectionalLight>) -> Vec<Vec3> {
         let picture = panorama(16, 8, |_| Vec3::splat(0.5));
         let light = LightFrame { sh: vec![Vec3::ZERO; 9], lights, ..ambient_light(&picture) };
-        let scene = Scene { ground_y: GROUND_Y, objects, ..Scene::default() };
-        let still = Still { gpu, picture: &picture, light: &light, scene: &scene, assets: &HashMap::new() };
+        let still = Still { gpu, picture: &picture, light: &light, scene, assets };
         let bytes = still.draw(&self.camera, self.size, wgpu::TextureFormat::Rgba32Float).unwrap();
         bytemuck::pod_collect_to_vec::<u8, f32>(&bytes).chunks_exact(4).map(|t| Vec3::new(t[0], t[1], t[2])).collect()
     }

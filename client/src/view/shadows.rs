@@ -48,10 +48,19 @@ impl Frustum {
 /// lies on a texel of the whole plane, so that objects that move leave the texels of all others where they are.
 #[must_use]
 pub fn fit(direction: Vec3, casters: &[Bounds], margin_m: f32) -> Frustum {
+    fit_over(direction, casters, casters, margin_m)
+}
+
+/// The same, with a square around the first boxes and the depth of the others: of casters that reach far beyond what
+/// their shadows are asked for.
+#[must_use]
+pub fn fit_over(direction: Vec3, across: &[Bounds], along: &[Bounds], margin_m: f32) -> Frustum {
     let (right, up) = direction.any_orthonormal_pair();
     let light_from_world = Mat3::from_cols(right, up, direction).transpose();
-    let seen = casters.iter().flat_map(Bounds::corners).fold(Bounds::EMPTY, |b, corner| b.including(light_from_world * corner));
-    let (center, half) = (seen.center(), seen.half());
+    let seen = |boxes: &[Bounds]| boxes.iter().flat_map(Bounds::corners).fold(Bounds::EMPTY, |b, at| b.including(light_from_world * at));
+    let (square, depth) = (seen(across), seen(along));
+    let center = square.center().truncate().extend(depth.center().z);
+    let half = square.half().truncate().extend(depth.half().z);
     let needed_m = (half.x.max(half.y).max(1e-3) + margin_m) * (1.0 + EMPTY_TEXELS / (0.5 * SHADOW_MAP_SIZE as f32));
     let half_width_m = ((needed_m.log2() * STEPS_AN_OCTAVE).ceil() / STEPS_AN_OCTAVE).exp2();
     let texel_m = 2.0 * half_width_m / SHADOW_MAP_SIZE as f32;

@@ -9,6 +9,7 @@ use mr360_shaders::layout::{self, MAX_OCCLUDERS};
 use mr360_shaders::source::{OCCLUDER_REACH, Surface};
 
 use super::models::{GpuModel, GpuPart, Models};
+use super::place::Place;
 use super::plan::{SceneNeeds, reflects};
 use super::shadows::ground_shadow;
 use crate::environment::FrameLight;
@@ -19,14 +20,14 @@ use crate::scene::occluder;
 use crate::scene::pick::Target;
 
 /// Most drawn parts of all objects together.
-const MAX_INSTANCES: usize = 65_536;
+pub(super) const MAX_INSTANCES: usize = 65_536;
 
-/// An object that is left out of the picture, and why.
+/// An object or a mesh of the place that is left out of the picture, and why.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("object {} is not drawn: model {model}: {fault}", .object.0)]
+#[error("{element} is not drawn: model {model}: {fault}")]
 pub struct SceneWarning {
-    /// Which object.
-    pub object: ObjectId,
+    /// Which.
+    pub element: Element,
     /// Its model.
     pub model: AssetId,
     /// What is wrong with it.
@@ -45,6 +46,24 @@ pub enum ModelFault {
     /// The scene is full.
     #[error("the scene draws more than {MAX_INSTANCES} parts; use simpler models or fewer objects")]
     TooManyParts,
+}
+
+/// What of a scene is left out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Element {
+    /// This object.
+    Object(ObjectId),
+    /// The mesh of the place that is the so manieth, counted from 1.
+    Place(usize),
+}
+
+impl std::fmt::Display for Element {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Object(id) => write!(f, "object {}", id.0),
+            Self::Place(index) => write!(f, "place {index}"),
+        }
+    }
 }
 
 /// One draw call.
@@ -73,6 +92,7 @@ pub(super) struct Stage {
     pub(super) needs: SceneNeeds,
     pub(super) ground_y: f32,
     pub(super) triangles: u64,
+    pub(super) place: Place,
 }
 
 struct Placed<'a> {
@@ -101,7 +121,7 @@ impl Stage {
                 None => ModelFault::Missing,
             };
             if let Geometry::Model(model) = object.geometry {
-                warnings.push(SceneWarning { object: object.id, model, fault });
+                warnings.push(SceneWarning { element: Element::Object(object.id), model, fault });
             }
         }
         // Objects of the same geometry and kind of surface share draws; those with a material of their own use none
@@ -114,6 +134,11 @@ impl Stage {
         }
         (stage.occluders, stage.occluders_lost) = occluders(&placed);
         stage.needs.objects = placed.len();
+        for (index, mesh) in (1..).zip(&scene.place) {
+            if let Err(fault) = stage.add_place(mesh, models, &mut parts) {
+                warnings.push(SceneWarning { element: Element::Place(index), model: mesh.model, fault });
+            }
+        }
         (stage, warnings)
     }
 
