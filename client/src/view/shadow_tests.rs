@@ -14,6 +14,9 @@ use crate::view::tests::panorama;
 
 pub(super) const GROUND_Y: f32 = -1.6;
 
+/// A solid by its scale.
+type Scaled = fn(f32) -> Solid;
+
 /// What stands in the light, in closed form. All are upright.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Solid {
@@ -296,7 +299,7 @@ fn no_surface_of_a_convex_object_shadows_itself() {
     let gpu = Gpu::headless().unwrap();
     let eye = Eye::at(Vec3::new(0.0, 0.2, -1.0), Vec3::new(0.0, -1.0, -4.0), 0.6, (160, 120));
     const FLOATING: Vec3 = Vec3::new(0.0, -0.9, -4.0);
-    let solids: [(&str, fn(f32) -> Solid); 3] = [
+    let solids: [(&str, Scaled); 3] = [
         ("ball", |r| Solid::Ball { center: FLOATING, radius: 0.5 * r }),
         ("cylinder", |r| Solid::Cylinder { center: FLOATING, radius: 0.4 * r, half_height: 0.5 * r }),
         ("cube", |r| Solid::Block { center: FLOATING, half: Vec3::splat(0.5 * r) }),
