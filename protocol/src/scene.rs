@@ -8,6 +8,8 @@ use crate::codec::{Message, WireError, ensure_in_range};
 
 /// Most objects in a scene.
 pub const MAX_OBJECTS: usize = 1024;
+/// Most meshes of the place.
+pub const MAX_PLACE_MESHES: usize = 16;
 /// Most users in a session.
 pub const MAX_USERS: usize = 256;
 /// Most changes in one delta.
@@ -107,6 +109,17 @@ pub struct Object {
     pub material: Option<Material>,
 }
 
+/// A mesh of the real place, as the video shows it: it catches shadows and hides what is behind it, and is itself never seen.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct PlaceMesh {
+    /// A glTF 2.0 model; its materials do not count.
+    pub model: AssetId,
+    /// Its place.
+    pub transform: Transform,
+    /// It stands between the lights and what lies behind it. Not so for walls that hold the lights themselves, or lie beyond them.
+    pub casts_shadows: bool,
+}
+
 /// The whole shared state.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Scene {
@@ -116,11 +129,13 @@ pub struct Scene {
     pub ground_y: f32,
     /// In order of id.
     pub objects: Vec<Object>,
+    /// Beside the ground, what of the real place catches shadows.
+    pub place: Vec<PlaceMesh>,
 }
 
 impl Default for Scene {
     fn default() -> Self {
-        Self { revision: 0, ground_y: -1.6, objects: Vec::new() }
+        Self { revision: 0, ground_y: -1.6, objects: Vec::new(), place: Vec::new() }
     }
 }
 
@@ -240,7 +255,7 @@ impl Scene {
         Ok(())
     }
 
-    /// The assets that the objects name, each once, in order.
+    /// The assets that the objects and the place name, each once, in order.
     #[must_use]
     pub fn assets(&self) -> Vec<AssetId> {
         let mut ids: Vec<_> = self
@@ -250,6 +265,7 @@ impl Scene {
                 Geometry::Model(id) => Some(id),
                 Geometry::Shape(_) => None,
             })
+            .chain(self.place.iter().map(|mesh| mesh.model))
             .collect();
         ids.sort_unstable();
         ids.dedup();
@@ -306,13 +322,17 @@ impl Scene {
         ensure_in_range(self.ground_y.is_finite() && self.ground_y.abs() <= MAX_POSITION_M, message, "ground_y", || {
             self.ground_y.to_string()
         })?;
+        ensure_in_range(self.place.len() <= MAX_PLACE_MESHES, message, "place", || {
+            format!("{} meshes, at most {MAX_PLACE_MESHES}", self.place.len())
+        })?;
+        self.place.iter().try_for_each(|mesh| mesh.transform.validate(message))?;
         self.objects.iter().try_for_each(|object| object.validate(message))
     }
 }
 
 impl Message for SceneMessage {
     const NAME: &'static str = "scene message";
-    const VERSION: u8 = 1;
+    const VERSION: u8 = 2;
 
     fn validate(&self) -> Result<(), WireError> {
         match self {
@@ -394,13 +414,28 @@ mod tests {
     }
 
     #[test]
+    fn the_place_is_bounded_and_its_models_are_assets() {
+        let mesh = |name: &[u8]| PlaceMesh { model: AssetId::of(name), transform: Transform::default(), casts_shadows: true };
+        let scene = Scene { place: vec![mesh(b"room"), mesh(b"table"), mesh(b"room")], ..Scene::default() };
+        assert_eq!(scene.assets().len(), 2);
+        let wire = SceneMessage::Snapshot(scene.clone()).to_wire().unwrap();
+        assert_eq!(SceneMessage::from_wire(&wire).unwrap(), SceneMessage::Snapshot(scene.clone()));
+        let refused = |place| SceneMessage::Snapshot(Scene { place, ..scene.clone() }).to_wire().unwrap_err().to_string();
+        assert!(refused(vec![mesh(b"room"); MAX_PLACE_MESHES + 1]).contains("place"));
+        let far = Transform { position: Vec3::splat(f32::INFINITY), ..Transform::default() };
+        assert!(refused(vec![PlaceMesh { transform: far, ..mesh(b"room") }]).contains("position"));
+    }
+
+    #[test]
     fn a_full_scene_fits_a_message() {
         let objects = (0..MAX_OBJECTS as u32).map(|id| Object {
             geometry: Geometry::Model(AssetId::of(&id.to_le_bytes())),
             material: Some(Material::default()),
             ..object(id)
         });
-        let scene = SceneMessage::Snapshot(Scene { objects: objects.collect(), ..Scene::default() });
+        let mesh = PlaceMesh { model: AssetId::of(b"room"), transform: Transform::default(), casts_shadows: true };
+        let place = vec![mesh; MAX_PLACE_MESHES];
+        let scene = SceneMessage::Snapshot(Scene { objects: objects.collect(), place, ..Scene::default() });
         let wire = scene.to_wire().unwrap();
         assert_eq!(SceneMessage::from_wire(&wire).unwrap(), scene);
     }

@@ -8,6 +8,9 @@
 //! rotation_deg = [0.0, 30.0, 0.0] # about x, y, z, applied in the order y, x, z
 //! scale = 1.0                     # or [x, y, z]
 //! material = { base_color = [0.8, 0.8, 0.8], roughness = 0.3, metallic = 0.0, kind = "opaque" }
+//! [[place]]
+//! model = "room.glb"              # of the real place: catches shadows and hides what is behind it
+//! casts_shadows = true            # false for what holds the lights, or lies beyond them
 //! ```
 
 use std::collections::HashMap;
@@ -18,7 +21,7 @@ use serde::Deserialize;
 
 use crate::asset::{AssetId, MAX_ASSETS};
 use crate::codec::{WireError, ensure_in_range};
-use crate::scene::{Geometry, MAX_OBJECTS, Material, MaterialKind, Object, ObjectId, Scene, Shape, Transform};
+use crate::scene::{Geometry, MAX_OBJECTS, MAX_PLACE_MESHES, Material, MaterialKind, Object, ObjectId, PlaceMesh, Scene, Shape, Transform};
 
 /// Largest scene file that is read.
 pub const MAX_SCENE_FILE_BYTES: u64 = 1024 * 1024;
@@ -53,6 +56,16 @@ pub enum SceneFileError {
         /// Field, fault and remedy.
         fault: String,
     },
+    /// A mesh of the place that cannot be.
+    #[error("scene {path}: place {index}: {fault}")]
+    Place {
+        /// The file.
+        path: PathBuf,
+        /// Counted from 1 in the order of the file.
+        index: usize,
+        /// Field, fault and remedy.
+        fault: String,
+    },
     /// The whole is out of bounds.
     #[error("scene {path}: {fault}")]
     Scene {
@@ -69,6 +82,26 @@ struct FileScene {
     ground_y: f32,
     #[serde(default, rename = "object")]
     objects: Vec<FileObject>,
+    #[serde(default)]
+    place: Vec<FilePlaceMesh>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FilePlaceMesh {
+    model: PathBuf,
+    #[serde(default)]
+    position: [f32; 3],
+    #[serde(default)]
+    rotation_deg: [f32; 3],
+    #[serde(default)]
+    scale: FileScale,
+    #[serde(default = "yes")]
+    casts_shadows: bool,
+}
+
+fn yes() -> bool {
+    true
 }
 
 #[derive(Deserialize)]
@@ -85,7 +118,7 @@ struct FileObject {
     material: Option<FileMaterial>,
 }
 
-#[derive(Deserialize)]
+#[derive(Clone, Copy, Deserialize)]
 #[serde(untagged, expecting = "scale is a number or three numbers")]
 enum FileScale {
     Uniform(f32),
@@ -129,6 +162,8 @@ pub struct SceneFile {
     path: PathBuf,
     ground_y: f32,
     objects: Vec<(FileGeometry, Transform, Option<Material>)>,
+    /// Model, transform, and whether it casts shadows.
+    place: Vec<(PathBuf, Transform, bool)>,
 }
 
 #[derive(Debug, Clone, PartialEq)]
@@ -165,6 +200,12 @@ impl SceneFile {
                 fault: format!("{} objects, at most {MAX_OBJECTS}", file.objects.len()),
             });
         }
+        if file.place.len() > MAX_PLACE_MESHES {
+            return Err(SceneFileError::Scene {
+                path: path.to_owned(),
+                fault: format!("{} place meshes, at most {MAX_PLACE_MESHES}; join some in one model", file.place.len()),
+            });
+        }
         let folder = path.parent().unwrap_or(Path::new(""));
         let objects = file
             .objects
@@ -174,7 +215,16 @@ impl SceneFile {
                 check(object, folder).map_err(|fault| SceneFileError::Object { path: path.to_owned(), index: at + 1, fault })
             })
             .collect::<Result<Vec<_>, _>>()?;
-        let scene = Self { path: path.to_owned(), ground_y: file.ground_y, objects };
+        let place = (1..).zip(file.place).map(|(index, mesh)| -> Result<_, SceneFileError> {
+            let transform = transform(mesh.position, mesh.rotation_deg, mesh.scale).map_err(|fault| SceneFileError::Place {
+                path: path.to_owned(),
+                index,
+                fault,
+            })?;
+            Ok((folder.join(mesh.model), transform, mesh.casts_shadows))
+        });
+        let place = place.collect::<Result<Vec<_>, _>>()?;
+        let scene = Self { path: path.to_owned(), ground_y: file.ground_y, objects, place };
         let bounds = Scene { ground_y: scene.ground_y, ..Scene::default() }.validate("scene file");
         bounds.map_err(|error| SceneFileError::Scene { path: path.to_owned(), fault: fault(&error) })?;
         if scene.models().len() > MAX_ASSETS {
@@ -196,6 +246,7 @@ impl SceneFile {
                 FileGeometry::Model(path) => Some(path.as_path()),
                 FileGeometry::Shape(_) => None,
             })
+            .chain(self.place.iter().map(|(model, ..)| model.as_path()))
             .collect();
         models.sort_unstable();
         models.dedup();
@@ -205,27 +256,36 @@ impl SceneFile {
     /// The scene, with each model file replaced by the asset that `asset_of` makes of it; asked once for each file.
     ///
     /// # Errors
-    /// What `asset_of` fails with, with the object that names the model.
-    pub fn resolve<E: std::fmt::Display>(&self, mut asset_of: impl FnMut(&Path) -> Result<AssetId, E>) -> Result<Scene, SceneFileError> {
+    /// What `asset_of` fails with, with the object or place mesh that names the model.
+    pub fn resolve<'a, E: std::fmt::Display>(
+        &'a self,
+        mut asset_of: impl FnMut(&Path) -> Result<AssetId, E>,
+    ) -> Result<Scene, SceneFileError> {
         let mut known: HashMap<&Path, AssetId> = HashMap::new();
-        let mut scene = Scene { revision: 0, ground_y: self.ground_y, objects: Vec::with_capacity(self.objects.len()) };
+        // The fault names no element: that is for whoever asks.
+        let mut asset_once = |model: &'a Path| -> Result<AssetId, String> {
+            if let Some(asset) = known.get(model) {
+                return Ok(*asset);
+            }
+            let asset = asset_of(model).map_err(|error| format!("model {}: {error}", model.display()))?;
+            known.insert(model, asset);
+            Ok(asset)
+        };
+        let mut scene = Scene { ground_y: self.ground_y, ..Scene::default() };
         for (id, (geometry, transform, material)) in (1..).zip(&self.objects) {
             let geometry = match geometry {
                 FileGeometry::Shape(shape) => Geometry::Shape(*shape),
-                FileGeometry::Model(model) => Geometry::Model(match known.get(model.as_path()) {
-                    Some(asset) => *asset,
-                    None => {
-                        let asset = asset_of(model).map_err(|error| SceneFileError::Object {
-                            path: self.path.clone(),
-                            index: id as usize,
-                            fault: format!("model {}: {error}", model.display()),
-                        })?;
-                        known.insert(model, asset);
-                        asset
-                    }
-                }),
+                FileGeometry::Model(model) => Geometry::Model(asset_once(model).map_err(|fault| SceneFileError::Object {
+                    path: self.path.clone(),
+                    index: id as usize,
+                    fault,
+                })?),
             };
             scene.objects.push(Object { id: ObjectId(id), geometry, transform: *transform, material: *material });
+        }
+        for (index, (model, transform, casts_shadows)) in (1..).zip(&self.place) {
+            let model = asset_once(model).map_err(|fault| SceneFileError::Place { path: self.path.clone(), index, fault })?;
+            scene.place.push(PlaceMesh { model, transform: *transform, casts_shadows: *casts_shadows });
         }
         Ok(scene)
     }
@@ -238,19 +298,7 @@ fn check(object: FileObject, folder: &Path) -> Result<(FileGeometry, Transform, 
         (None, None) => return Err("neither shape nor model; give one".to_owned()),
         (Some(_), Some(_)) => return Err("both shape and model; give one".to_owned()),
     };
-    let [x, y, z] = object.rotation_deg.map(f32::to_radians);
-    ensure_in_range([x, y, z].iter().all(|angle| angle.is_finite()), "scene file", "rotation_deg", || {
-        format!("{:?} is not finite", object.rotation_deg)
-    })
-    .map_err(|e| fault(&e))?;
-    let transform = Transform {
-        position: Vec3::from_array(object.position),
-        rotation: Quat::from_euler(EulerRot::YXZ, y, x, z),
-        scale: match object.scale {
-            FileScale::Uniform(scale) => Vec3::splat(scale),
-            FileScale::Axes(scale) => Vec3::from_array(scale),
-        },
-    };
+    let transform = transform(object.position, object.rotation_deg, object.scale)?;
     let material = object.material.map(Material::from).or(match geometry {
         FileGeometry::Shape(_) => Some(Material::default()),
         FileGeometry::Model(_) => None,
@@ -258,6 +306,24 @@ fn check(object: FileObject, folder: &Path) -> Result<(FileGeometry, Transform, 
     let probe = Object { id: ObjectId(0), geometry: Geometry::Shape(Shape::Cube), transform, material };
     probe.validate("scene file").map_err(|error| fault(&error))?;
     Ok((geometry, transform, material))
+}
+
+fn transform(position: [f32; 3], rotation_deg: [f32; 3], scale: FileScale) -> Result<Transform, String> {
+    let [x, y, z] = rotation_deg.map(f32::to_radians);
+    ensure_in_range([x, y, z].iter().all(|angle| angle.is_finite()), "scene file", "rotation_deg", || {
+        format!("{rotation_deg:?} is not finite")
+    })
+    .map_err(|e| fault(&e))?;
+    let transform = Transform {
+        position: Vec3::from_array(position),
+        rotation: Quat::from_euler(EulerRot::YXZ, y, x, z),
+        scale: match scale {
+            FileScale::Uniform(scale) => Vec3::splat(scale),
+            FileScale::Axes(scale) => Vec3::from_array(scale),
+        },
+    };
+    transform.validate("scene file").map_err(|error| fault(&error))?;
+    Ok(transform)
 }
 
 /// Field and detail without the message's name: the file is named already.
@@ -352,6 +418,30 @@ mod tests {
             Ok::<_, String>(AssetId::of(b"fox"))
         });
         assert_eq!((scene.unwrap().objects.len(), reads), (3, 1));
+    }
+
+    #[test]
+    fn the_place_reads_as_written_and_its_faults_are_named() {
+        let file = parse(
+            "ground_y = 0.0\n[[place]]\nmodel = \"room.glb\"\nposition = [1.0, 0.0, 0.0]\n[[place]]\nmodel = \"lamp.glb\"\ncasts_shadows = false",
+        );
+        let file = file.unwrap();
+        assert_eq!(file.models(), [Path::new("stage/lamp.glb"), Path::new("stage/room.glb")]);
+        let scene = file.resolve(|path| Ok::<_, String>(AssetId::of(path.as_os_str().as_encoded_bytes()))).unwrap();
+        assert_eq!((scene.place[0].transform.position, scene.place[0].casts_shadows, scene.place[1].casts_shadows), (Vec3::X, true, false));
+        let error = file.resolve(|_| Err::<AssetId, _>("no such file")).unwrap_err().to_string();
+        assert!(error.contains("place 1") && error.contains("stage/room.glb"), "{error}");
+        let mesh = "ground_y = 0.0\n[[place]]\nmodel = \"room.glb\"\n";
+        for (text, names) in [
+            ("ground_y = 0.0\n[[place]]".to_owned(), "model"),
+            (format!("{mesh}roughness = 1.0"), "roughness"),
+            (format!("{mesh}scale = -1.0"), "scale"),
+            (format!("{mesh}rotation_deg = [nan, 0.0, 0.0]"), "rotation_deg"),
+            (format!("ground_y = 0.0\n{}", "[[place]]\nmodel = \"room.glb\"\n".repeat(17)), "17 place meshes"),
+        ] {
+            let error = parse(&text).unwrap_err().to_string();
+            assert!(error.contains(names) && error.contains("stage/SCENE.toml"), "{text:?} gave {error}");
+        }
     }
 
     #[test]

@@ -37,28 +37,43 @@ pub struct View {
     pub padding: [f32; 2],
 }
 
+/// `ShadowMap`: what casts shadows, as one light sees it.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+pub struct ShadowMap {
+    /// Columns.
+    pub from_world: [[f32; 4]; 4],
+    /// Metres.
+    pub half_width_m: f32,
+    /// Metres.
+    pub range_m: f32,
+    /// Metres.
+    pub texel_m: f32,
+    /// Layer of the maps' texture; negative for none.
+    pub layer: i32,
+}
+
+impl ShadowMap {
+    /// No shadows.
+    pub const NONE: Self = Self { from_world: [[0.0; 4]; 4], half_width_m: 1.0, range_m: 1.0, texel_m: 1.0, layer: -1 };
+}
+
 /// `Light`: one directional light.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 pub struct Light {
-    /// Columns.
-    pub shadow_from_world: [[f32; 4]; 4],
     /// Unit vector towards the light.
     pub direction: [f32; 3],
     /// Tangent of half the cone.
     pub tan_radius: f32,
     /// Irradiance on a facing surface.
     pub irradiance: [f32; 3],
-    /// Layer of the shadow map; negative for none.
-    pub shadow_layer: i32,
-    /// Metres.
-    pub shadow_half_width_m: f32,
-    /// Metres.
-    pub shadow_range_m: f32,
-    /// Metres.
-    pub shadow_texel_m: f32,
     /// Share of the light that the reflection map is without.
     pub cut: f32,
+    /// Of the virtual objects.
+    pub objects: ShadowMap,
+    /// Of the real place.
+    pub place: ShadowMap,
 }
 
 /// `Lighting`: the light of the frame and what it needs to know of the scene.
@@ -345,20 +360,8 @@ mod tests {
     #[test]
     fn mirrors_match_the_shaders() {
         mirrors!(Object, View { clip_from_world, world_from_ndc, position, eye, size_px, layer_origin, layer_size, padding });
-        mirrors!(
-            Object,
-            Light {
-                shadow_from_world,
-                direction,
-                tan_radius,
-                irradiance,
-                shadow_layer,
-                shadow_half_width_m,
-                shadow_range_m,
-                shadow_texel_m,
-                cut
-            }
-        );
+        mirrors!(Object, ShadowMap { from_world, half_width_m, range_m, texel_m, layer });
+        mirrors!(Object, Light { direction, tan_radius, irradiance, cut, objects, place });
         mirrors!(
             Object,
             Lighting {

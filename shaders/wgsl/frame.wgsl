@@ -16,23 +16,31 @@ struct View {
     padding: vec2<f32>,
 }
 
-struct Light {
+// What casts shadows, as one light sees it.
+struct ShadowMap {
     // x, y in [-1, 1] and z in metres from the nearest caster, along the light.
-    shadow_from_world: mat4x4<f32>,
+    from_world: mat4x4<f32>,
+    // Half the width of the frustum, metres.
+    half_width_m: f32,
+    // Metres from depth 0 to depth 1.
+    range_m: f32,
+    // Side of a texel, metres.
+    texel_m: f32,
+    // Layer of the maps' texture; negative for none.
+    layer: i32,
+}
+
+struct Light {
     direction: vec3<f32>,
     // Tangent of half the cone that the light fills.
     tan_radius: f32,
     irradiance: vec3<f32>,
-    // Layer of the shadow map; negative for none.
-    shadow_layer: i32,
-    // Half the width of the shadow map's frustum, metres.
-    shadow_half_width_m: f32,
-    // Metres from depth 0 to depth 1.
-    shadow_range_m: f32,
-    // Side of a texel of the shadow map, metres.
-    shadow_texel_m: f32,
     // Share of the light that the reflection map is without.
     cut: f32,
+    // Of the virtual objects.
+    objects: ShadowMap,
+    // Of the real place.
+    place: ShadowMap,
 }
 
 struct Lighting {

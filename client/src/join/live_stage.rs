@@ -19,7 +19,7 @@ use crate::scene::model::{LoadedModel, ModelError};
 use crate::scene::pick::Ray;
 use crate::stats::PassTime;
 use crate::sync::{ClientClock, Paired, ReceivedLight};
-use crate::view::{FrameReport, Renderer, View};
+use crate::view::{Element, FrameReport, Renderer, View};
 
 /// Most bytes of memory for all models together.
 const MAX_MODEL_BYTES: usize = 2 * 1024 * 1024 * 1024;
@@ -99,7 +99,7 @@ pub struct LiveStage {
     /// Objects need the light of their picture; without it they are hidden.
     lit: bool,
     light: Option<LightFrame>,
-    warned: HashMap<ObjectId, String>,
+    warned: HashMap<Element, String>,
     governor: Governor,
     clock: ClientClock,
     overlay_shown: bool,
@@ -141,8 +141,8 @@ impl LiveStage {
         let state = self.shared.snapshot();
         for warning in renderer.set_scene(&self.gpu, &state.scene, &|id| state.models.get(&id).cloned()) {
             let text = warning.to_string();
-            if self.warned.insert(warning.object, text.clone()).as_ref() != Some(&text) {
-                tracing::warn!("{text}; the object is left out");
+            if self.warned.insert(warning.element, text.clone()).as_ref() != Some(&text) {
+                tracing::warn!("{text}; it is left out");
             }
         }
         self.ground_y = state.scene.ground_y;

@@ -16,7 +16,7 @@ pub(super) struct Part {
     pub(super) size: (u32, u32),
 }
 
-/// Where casters and changed ground appear in an image of this size; `None` where nothing of them is in view.
+/// Where casters, the place and changed ground appear in an image of this size; `None` where nothing of them is in view.
 pub(super) fn touched(camera: &Camera, size: (u32, u32), stage: &Stage, ground: Option<Bounds>) -> Option<Part> {
     let (width, height) = (size.0.max(1) as f32, size.1.max(1) as f32);
     let clip_from_world = camera.clip_from_view(width / height) * camera.view_from_world();
@@ -25,7 +25,7 @@ pub(super) fn touched(camera: &Camera, size: (u32, u32), stage: &Stage, ground: 
         max: Vec3::new(bounds.max.x, stage.ground_y, bounds.max.z),
     });
     let (mut low, mut high) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2]);
-    for bounds in stage.casters.iter().copied().chain(ground) {
+    for bounds in stage.casters.iter().chain(&stage.place.bounds).copied().chain(ground) {
         let Some(seen) = box_in_ndc(&clip_from_world, &bounds) else { continue };
         for axis in 0..2 {
             low[axis] = low[axis].min(seen.min[axis]);

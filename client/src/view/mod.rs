@@ -13,6 +13,9 @@ mod glass;
 mod glass_tests;
 mod models;
 mod pipelines;
+mod place;
+#[cfg(test)]
+mod place_tests;
 pub mod plan;
 #[cfg(test)]
 mod probe_tests;
@@ -22,6 +25,8 @@ mod rate_tests;
 mod reflection_tests;
 mod resources;
 mod room;
+#[cfg(test)]
+mod shadow_tests;
 pub mod shadows;
 mod stage;
 #[cfg(test)]
@@ -33,7 +38,7 @@ use mr360_protocol::asset::AssetId;
 use mr360_protocol::light::LightFrame;
 use mr360_protocol::scene::{ObjectId, Scene};
 use mr360_shaders::layout;
-use mr360_shaders::source::Reflections;
+use mr360_shaders::source::{Reflections, Surface};
 
 use crate::camera::Camera;
 use crate::environment::{Environment, FrameLight};
@@ -44,7 +49,7 @@ use crate::scene::pick::{Ray, nearest};
 use crate::stats::PassTime;
 
 pub use plan::Plan;
-pub use stage::{ModelFault, SceneWarning};
+pub use stage::{Element, ModelFault, SceneWarning};
 
 use extent::{Part, touched};
 use glass::is_glass;
@@ -58,11 +63,15 @@ use stage::Stage;
 use timing::PassTimer;
 
 /// Passes that a frame may have.
-pub const PASSES: [&str; 17] = [
-    "shadow 1",
-    "shadow 2",
-    "shadow 3",
-    "shadow 4",
+pub const PASSES: [&str; 21] = [
+    SHADOWS[0],
+    SHADOWS[1],
+    SHADOWS[2],
+    SHADOWS[3],
+    PLACE_SHADOWS[0],
+    PLACE_SHADOWS[1],
+    PLACE_SHADOWS[2],
+    PLACE_SHADOWS[3],
     "reflections",
     OBJECTS[0],
     GLASS[0],
@@ -77,6 +86,10 @@ pub const PASSES: [&str; 17] = [
     GLASS[3],
     COMPOSITE[3],
 ];
+/// Of each light.
+const SHADOWS: [&str; plan::MAX_SHADOWS] = ["shadow 1", "shadow 2", "shadow 3", "shadow 4"];
+/// Of each light.
+const PLACE_SHADOWS: [&str; plan::MAX_SHADOWS] = ["place shadow 1", "place shadow 2", "place shadow 3", "place shadow 4"];
 /// Of each view.
 const OBJECTS: [&str; MAX_VIEWS] = ["objects", "objects view 2", "objects view 3", "objects view 4"];
 /// Of each view.
@@ -117,6 +130,8 @@ pub struct Renderer {
     resources: Resources,
     models: Models,
     stage: Stage,
+    /// What the place's shadow maps hold.
+    place_shown: Vec<Frustum>,
     /// Of the picture.
     light: FrameLight,
     light_changed: bool,
@@ -154,6 +169,7 @@ impl Renderer {
             resources,
             models,
             stage: Stage::default(),
+            place_shown: Vec::new(),
             light: FrameLight::default(),
             light_changed: true,
             current: FrameLight::default(),
@@ -175,8 +191,15 @@ impl Renderer {
         self.models.follow(gpu, scene, model);
         let (stage, warnings) = Stage::new(scene, &self.models);
         self.resources.write_scene(gpu, &self.layouts, &stage);
+        if stage.occluders_lost > 0 && self.stage.occluders_lost == 0 {
+            let (lost, most) = (stage.occluders_lost, layout::MAX_OCCLUDERS);
+            tracing::warn!(
+                "only the {most} largest of the objects shade what is beside them, {lost} do not; make one model of several objects"
+            );
+        }
         self.stage = stage;
         self.shadows = [None; plan::MAX_SHADOWS];
+        self.place_shown.clear();
         warnings
     }
 
@@ -254,11 +277,18 @@ impl Renderer {
         }
         let frusta: Vec<Frustum> =
             self.current.lights.iter().take(plan.shadows).map(|light| self.resources.frustum(light, &self.stage)).collect();
-        self.resources.write_frame(gpu, &self.stage, (&self.current, &self.light), &frusta, plan.occlusion);
+        let place = self.place_frusta(frusta.len());
+        self.resources.write_frame(gpu, &self.stage, (&self.current, &self.light), (&frusta, &place), plan.occlusion);
         let mut report = FrameReport { plan, ..FrameReport::default() };
         self.draw_shadows(encoder, &frusta, &mut report);
-        let kind =
-            Kind { video: environment.kind(), sh_count: self.current.sh_count, samples: plan.samples, reflections: self.reflections };
+        self.draw_place_shadows(encoder, place, &mut report);
+        let kind = Kind {
+            video: environment.kind(),
+            sh_count: self.current.sh_count,
+            samples: plan.samples,
+            reflections: self.reflections,
+            place: !self.stage.place.draws.is_empty(),
+        };
         self.prepare(gpu, kind, plan);
         if plan.objects && self.samples != plan.samples {
             self.samples = plan.samples;
@@ -287,7 +317,13 @@ impl Renderer {
     /// Makes what pipelines this frame needs and earlier ones did not.
     fn prepare(&mut self, gpu: &Gpu, kind: Kind, plan: Plan) {
         let objects = self.stage.draws.iter().map(object_use);
-        let others = [(Use::Composite, true), (Use::Ground, plan.objects), (Use::Horizon, plan.ground_hides), (Use::GlassBack, plan.glass)];
+        let others = [
+            (Use::Composite, true),
+            (Use::Ground, plan.objects),
+            (Use::Horizon, plan.ground_hides),
+            (Use::GlassBack, plan.glass),
+            (Use::Place, plan.objects && kind.place),
+        ];
         for what in objects.chain(others.into_iter().filter_map(|(what, needed)| needed.then_some(what))) {
             self.pipelines.prepare(gpu, &self.layouts, kind, what);
         }
@@ -311,8 +347,7 @@ impl Renderer {
 
     /// Draws the maps that do not show the scene as their light sees it now.
     fn draw_shadows(&mut self, encoder: &mut wgpu::CommandEncoder, frusta: &[Frustum], report: &mut FrameReport) {
-        const NAMES: [&str; plan::MAX_SHADOWS] = ["shadow 1", "shadow 2", "shadow 3", "shadow 4"];
-        let maps = self.resources.shadow_layers.iter().zip(&mut self.shadows).zip(NAMES);
+        let maps = self.resources.shadow_layers.iter().zip(&mut self.shadows).zip(SHADOWS);
         for (at, (((layer, held), name), frustum)) in maps.zip(frusta).enumerate() {
             if held.replace(*frustum) == Some(*frustum) {
                 continue;
@@ -323,14 +358,13 @@ impl Renderer {
                 timestamp_writes: self.timer.pass(name),
                 ..wgpu::RenderPassDescriptor::default()
             });
-            pass.set_pipeline(&self.pipelines.caster);
             pass.set_bind_group(0, &self.resources.caster_instances, &[]);
             pass.set_bind_group(1, &self.resources.caster_views, &[at as u32 * VIEW_STRIDE]);
-            // Light passes through glass.
-            for draw in self.stage.draws.iter().filter(|draw| !is_glass(draw)) {
+            for draw in &self.stage.draws {
                 if let Some(Ok(model)) = self.models.get(&draw.geometry)
                     && let Some(part) = model.parts.get(draw.part)
                 {
+                    pass.set_pipeline(if is_glass(draw) { &self.pipelines.sheer_caster } else { &self.pipelines.caster });
                     draw_part(&mut pass, part, draw);
                     report.draws += 1;
                 }
@@ -384,6 +418,7 @@ impl Renderer {
             report.draws += 1;
         }
         report.triangles += self.stage.triangles;
+        self.draw_place(&mut pass, kind, report);
         // After the objects, so that ground they cover is not shaded. From beneath there is no ground to see.
         let changed = (ground, Use::Ground);
         let hiding = (report.plan.ground_hides && view.camera.position.y > self.stage.ground_y, Use::Horizon);

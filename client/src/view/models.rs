@@ -1,6 +1,6 @@
 //! Geometry on the GPU, once for each shape or model, whatever the number of objects that show it.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use glam::Vec3;
 use mr360_protocol::asset::AssetId;
@@ -61,19 +61,21 @@ impl Models {
     /// Uploads what the scene newly names and drops what it no longer does. A model that has not come yet is asked
     /// for again at the next call; a broken one is not.
     pub(super) fn follow(&mut self, gpu: &Gpu, scene: &Scene, model: &dyn Fn(AssetId) -> Option<LoadedModel>) {
-        self.loaded.retain(|geometry, _| scene.objects.iter().any(|object| object.geometry == *geometry));
-        for object in &scene.objects {
-            if self.loaded.contains_key(&object.geometry) {
+        let objects = scene.objects.iter().map(|object| object.geometry);
+        let named: HashSet<_> = objects.chain(scene.place.iter().map(|mesh| Geometry::Model(mesh.model))).collect();
+        self.loaded.retain(|geometry, _| named.contains(geometry));
+        for geometry in named {
+            if self.loaded.contains_key(&geometry) {
                 continue;
             }
-            let loaded = match object.geometry {
+            let loaded = match geometry {
                 Geometry::Shape(shape) => Ok(self.shape(gpu, shape)),
                 Geometry::Model(id) => match model(id) {
                     Some(model) => model.map(|model| self.model(gpu, &model)),
                     None => continue,
                 },
             };
-            self.loaded.insert(object.geometry, loaded);
+            self.loaded.insert(geometry, loaded);
         }
     }
 

@@ -33,7 +33,10 @@ pub(super) struct Layouts {
 
 /// The pipelines in use. Those that see the video are made for its kind and for the kind of surface, when first needed.
 pub(super) struct Pipelines {
+    /// Of opaque casters.
     pub(super) caster: wgpu::RenderPipeline,
+    /// Of casters that let a part of the light pass.
+    pub(super) sheer_caster: wgpu::RenderPipeline,
     object: wgpu::ShaderModule,
     glass: wgpu::ShaderModule,
     ground: wgpu::ShaderModule,
@@ -51,6 +54,8 @@ pub(super) struct Kind {
     /// A pixel of objects and ground.
     pub(super) samples: u32,
     pub(super) reflections: Reflections,
+    /// The scene has meshes of the place.
+    pub(super) place: bool,
 }
 
 /// What a pipeline draws.
@@ -68,6 +73,7 @@ pub(super) enum Use {
     /// The far sides of glass.
     GlassBack,
     Ground,
+    Place,
     Horizon,
     Composite,
 }
@@ -141,7 +147,7 @@ impl Layouts {
 struct Recipe<'a> {
     label: &'a str,
     vertex: &'a str,
-    fragment: Option<(&'a str, wgpu::TextureFormat)>,
+    fragment: Option<(&'a str, Option<wgpu::TextureFormat>)>,
     layouts: &'a [Option<&'a wgpu::BindGroupLayout>],
     mesh: bool,
     cull: Option<wgpu::Face>,
@@ -163,7 +169,7 @@ fn build(gpu: &Gpu, module: &wgpu::ShaderModule, recipe: &Recipe<'_>) -> wgpu::R
         step_mode: wgpu::VertexStepMode::Vertex,
         attributes: &attributes,
     })];
-    let targets: Vec<_> = recipe.fragment.iter().map(|(_, format)| Some(wgpu::ColorTargetState::from(*format))).collect();
+    let targets: Vec<_> = recipe.fragment.iter().filter_map(|(_, format)| *format).map(|format| Some(format.into())).collect();
     let strip = !recipe.mesh && recipe.vertex != "vs_fullscreen";
     let topology = if strip { wgpu::PrimitiveTopology::TriangleStrip } else { wgpu::PrimitiveTopology::TriangleList };
     gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
@@ -213,12 +219,15 @@ impl Pipelines {
             layouts: &[Some(&layouts.casters), Some(&layouts.caster)],
             mesh: true,
             cull: None,
-            depth: Some(depth(wgpu::CompareFunction::Less, wgpu::DepthBiasState { constant: 1, slope_scale: 1.0, clamp: 0.0 })),
+            depth: Some(depth(wgpu::CompareFunction::Less, wgpu::DepthBiasState::default())),
             samples: 1,
             constants: &[],
         };
+        let sheer = Recipe { label: "sheer caster", vertex: "vs_sheer", fragment: Some(("fs_sheer", None)), ..casters.clone() };
+        let module = gpu.shader(Module::Caster)?;
         Ok(Self {
-            caster: build(gpu, &gpu.shader(Module::Caster)?, &casters),
+            caster: build(gpu, &module, &casters),
+            sheer_caster: build(gpu, &module, &sheer),
             object: gpu.shader(Module::Object)?,
             glass: gpu.shader(Module::Glass)?,
             ground: gpu.shader(Module::Ground)?,
@@ -250,7 +259,7 @@ impl Pipelines {
         let ground = Recipe {
             label: "ground",
             vertex: "vs_ground",
-            fragment: Some(("fs_ground", LAYER_FORMAT)),
+            fragment: Some(("fs_ground", Some(LAYER_FORMAT))),
             layouts: &[Some(&layouts.frame), Some(&video)],
             mesh: false,
             cull: Some(wgpu::Face::Back),
@@ -260,13 +269,13 @@ impl Pipelines {
         };
         match what {
             Use::Object { surface, textured, double_sided } => {
-                constants.extend([("SURFACE", f64::from(surface.index())), ("TEXTURED", flag(textured))]);
+                constants.extend([("SURFACE", f64::from(surface.index())), ("TEXTURED", flag(textured)), ("PLACE", flag(kind.place))]);
                 constants.push(("REFLECTIONS", f64::from(kind.reflections.index())));
                 let reflection = reflection_layout(&gpu.device);
                 let recipe = Recipe {
                     label: "object",
                     vertex: "vs_object",
-                    fragment: Some(("fs_object", LAYER_FORMAT)),
+                    fragment: Some(("fs_object", Some(LAYER_FORMAT))),
                     layouts: &[Some(&layouts.frame), Some(&video), Some(&reflection), Some(&layouts.material)],
                     mesh: true,
                     cull: (!double_sided).then_some(wgpu::Face::Back),
@@ -277,13 +286,17 @@ impl Pipelines {
                 build(gpu, &self.object, &recipe)
             }
             Use::Glass { textured } => {
-                constants.extend([("SURFACE", f64::from(Surface::Glass.index())), ("TEXTURED", flag(textured))]);
+                constants.extend([
+                    ("SURFACE", f64::from(Surface::Glass.index())),
+                    ("TEXTURED", flag(textured)),
+                    ("PLACE", flag(kind.place)),
+                ]);
                 constants.push(("REFLECTIONS", f64::from(kind.reflections.index())));
                 let reflection = reflection_layout(&gpu.device);
                 let recipe = Recipe {
                     label: "glass",
                     vertex: "vs_object",
-                    fragment: Some(("fs_glass", LAYER_FORMAT)),
+                    fragment: Some(("fs_glass", Some(LAYER_FORMAT))),
                     layouts: &[Some(&layouts.glass), Some(&video), Some(&reflection), Some(&layouts.material)],
                     mesh: true,
                     depth: Some(depth(wgpu::CompareFunction::Greater, wgpu::DepthBiasState::default())),
@@ -296,7 +309,7 @@ impl Pipelines {
                 let recipe = Recipe {
                     label: "glass, far sides",
                     vertex: "vs_object",
-                    fragment: Some(("fs_glass_back", BACK_FORMAT)),
+                    fragment: Some(("fs_glass_back", Some(BACK_FORMAT))),
                     layouts: &[Some(&layouts.frame)],
                     mesh: true,
                     cull: Some(wgpu::Face::Front),
@@ -306,10 +319,22 @@ impl Pipelines {
                 };
                 build(gpu, &self.glass, &recipe)
             }
-            Use::Ground => build(gpu, &self.ground, &Recipe { constants: &constants, ..ground }),
+            Use::Ground => {
+                constants.push(("PLACE", flag(kind.place)));
+                build(gpu, &self.ground, &Recipe { constants: &constants, ..ground })
+            }
+            Use::Place => {
+                constants.push(("PLACE", 1.0));
+                let fragment = Some(("fs_place", Some(LAYER_FORMAT)));
+                let place = Recipe { label: "place", vertex: "vs_place", mesh: true, cull: None, ..ground };
+                build(gpu, &self.ground, &Recipe { fragment, constants: &constants, ..place })
+            }
             Use::Horizon => {
-                let fragment = Some(("fs_horizon", LAYER_FORMAT));
-                build(gpu, &self.ground, &Recipe { label: "horizon", vertex: "vs_horizon", fragment, ..ground })
+                let fragment = Some(("fs_horizon", Some(LAYER_FORMAT)));
+                // It lies in the ground's own plane, and gives way to it too.
+                let farther = wgpu::DepthBiasState { constant: -32, slope_scale: -4.0, clamp: 0.0 };
+                let depth = Some(depth(wgpu::CompareFunction::Greater, farther));
+                build(gpu, &self.ground, &Recipe { label: "horizon", vertex: "vs_horizon", fragment, depth, ..ground })
             }
             Use::Composite => {
                 let eight_bits = matches!(self.target, wgpu::TextureFormat::Rgba8Unorm | wgpu::TextureFormat::Bgra8Unorm);
@@ -317,7 +342,7 @@ impl Pipelines {
                 let recipe = Recipe {
                     label: "composite",
                     vertex: "vs_fullscreen",
-                    fragment: Some(("fs_composite", self.target)),
+                    fragment: Some(("fs_composite", Some(self.target))),
                     layouts: &[Some(&layouts.frame), Some(&video), Some(&layouts.layer)],
                     cull: None,
                     depth: None,

@@ -1,7 +1,7 @@
 //! Buffers, shadow maps and render targets of the view passes.
 
 use bytemuck::Zeroable;
-use glam::{Mat4, Vec3};
+use glam::Vec3;
 use mr360_protocol::light::DirectionalLight;
 use mr360_shaders::layout::{self, MAX_OCCLUDERS, SHADOW_MAP_SIZE};
 use mr360_shaders::sh;
@@ -69,16 +69,8 @@ impl Resources {
         let lighting = buffer(device, "lighting", size_of::<layout::Lighting>(), wgpu::BufferUsages::UNIFORM);
         let instances = buffer(device, "instances", size_of::<layout::Instance>() * 16, wgpu::BufferUsages::STORAGE);
         let occluders = buffer(device, "occluders", size_of::<layout::Occluder>() * MAX_OCCLUDERS, wgpu::BufferUsages::UNIFORM);
-        let casters = buffer(device, "casters", MAX_SHADOWS * VIEW_STRIDE as usize, wgpu::BufferUsages::UNIFORM);
-        let attachment = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
-        let maps = texture(device, "shadow maps", (SHADOW_MAP_SIZE, SHADOW_MAP_SIZE), MAX_SHADOWS as u32, 1, DEPTH_FORMAT, attachment);
-        let shadow_maps =
-            maps.create_view(&wgpu::TextureViewDescriptor { dimension: Some(wgpu::TextureViewDimension::D2Array), ..Default::default() });
-        let layer = |base_array_layer| {
-            let dimension = Some(wgpu::TextureViewDimension::D2);
-            maps.create_view(&wgpu::TextureViewDescriptor { dimension, base_array_layer, array_layer_count: Some(1), ..Default::default() })
-        };
-        let shadow_layers = (0..MAX_SHADOWS as u32).map(layer).collect();
+        let casters = buffer(device, "casters", 2 * MAX_SHADOWS * VIEW_STRIDE as usize, wgpu::BufferUsages::UNIFORM);
+        let (shadow_maps, shadow_layers) = shadow_targets(device, MAX_SHADOWS);
         let shadow_sampler = device.create_sampler(&wgpu::SamplerDescriptor {
             label: Some("shadow"),
             mag_filter: wgpu::FilterMode::Linear,
@@ -117,8 +109,16 @@ impl Resources {
     /// Writes what stays until the scene changes.
     pub(super) fn write_scene(&mut self, gpu: &Gpu, layouts: &Layouts, stage: &Stage) {
         let bytes: &[u8] = bytemuck::cast_slice(&stage.instances);
-        if bytes.len() as u64 > self.instances.size() {
+        let outgrown = bytes.len() as u64 > self.instances.size();
+        // After the objects' maps those of the place, in scenes that have one.
+        let maps = if stage.place.casters.is_empty() { MAX_SHADOWS } else { 2 * MAX_SHADOWS };
+        if outgrown {
             self.instances = buffer(&gpu.device, "instances", bytes.len().next_power_of_two(), wgpu::BufferUsages::STORAGE);
+        }
+        if outgrown || maps != self.shadow_layers.len() {
+            if maps != self.shadow_layers.len() {
+                (self.shadow_maps, self.shadow_layers) = shadow_targets(&gpu.device, maps);
+            }
             let shared = (&self.views, &self.lighting, &self.instances, &self.occluders);
             self.frame = frame_group(&gpu.device, &layouts.frame, shared, &self.shadow_maps, &self.shadow_sampler);
             self.caster_instances = instances_group(&gpu.device, &layouts.casters, &self.instances);
@@ -135,23 +135,23 @@ impl Resources {
     }
 
     /// Writes what changes with the light, if it has: lighting, and the casters' views. The second light is that of the picture, from which
-    /// reflections are made.
+    /// reflections are made. Frusta are those of the objects and those of the place.
     pub(super) fn write_frame(
         &mut self,
         gpu: &Gpu,
         stage: &Stage,
         lights: (&FrameLight, &FrameLight),
-        frusta: &[Frustum],
+        (objects, place): (&[Frustum], &[Frustum]),
         occlusion: bool,
     ) {
-        let mut lighting = lighting(stage, lights, frusta);
+        let mut lighting = lighting(stage, lights, objects, place);
         if !occlusion {
             lighting.occluder_count = 0;
         }
         if bytemuck::bytes_of(&lighting) == bytemuck::bytes_of(&self.written) {
             return;
         }
-        for (at, frustum) in frusta.iter().enumerate() {
+        for (at, frustum) in (0..).zip(objects).chain((MAX_SHADOWS..).zip(place)) {
             let caster = layout::Caster { clip_from_world: frustum.clip_from_world.to_cols_array_2d() };
             gpu.queue.write_buffer(&self.casters, at as u64 * u64::from(VIEW_STRIDE), bytemuck::bytes_of(&caster));
         }
@@ -172,7 +172,7 @@ impl Resources {
 }
 
 /// Lights that are not in the picture's light are not cut out of its reflections, and must not come back as highlights.
-fn lighting(stage: &Stage, (light, picture): (&FrameLight, &FrameLight), frusta: &[Frustum]) -> layout::Lighting {
+fn lighting(stage: &Stage, (light, picture): (&FrameLight, &FrameLight), frusta: &[Frustum], place: &[Frustum]) -> layout::Lighting {
     let cut = |light: &DirectionalLight| {
         picture.lights.iter().find(|own| own.id == light.id).map_or(0.0, |own| map_cut(own.solid_angle_sr).share)
     };
@@ -197,20 +197,28 @@ fn lighting(stage: &Stage, (light, picture): (&FrameLight, &FrameLight), frusta:
         (out.ground_min, out.ground_max) = ([ground.min.x, ground.min.z], [ground.max.x, ground.max.z]);
     }
     for (at, (to, light)) in out.lights.iter_mut().zip(&light.lights).enumerate() {
-        let frustum = frusta.get(at);
         *to = layout::Light {
-            shadow_from_world: frustum.map_or(Mat4::IDENTITY, |f| f.shadow_from_world).to_cols_array_2d(),
             direction: light.direction.to_array(),
             tan_radius: tan_radius(light.solid_angle_sr),
             irradiance: light.irradiance.max(Vec3::ZERO).to_array(),
-            shadow_layer: frustum.map_or(-1, |_| at as i32),
-            shadow_half_width_m: frustum.map_or(1.0, |f| f.half_width_m),
-            shadow_range_m: frustum.map_or(1.0, |f| f.range_m),
-            shadow_texel_m: frustum.map_or(1.0, |f| 2.0 * f.half_width_m / SHADOW_MAP_SIZE as f32),
             cut: cut(light),
+            objects: frusta.get(at).map_or(layout::ShadowMap::NONE, |frustum| frustum.map(at as i32)),
+            place: place.get(at).map_or(layout::ShadowMap::NONE, |frustum| frustum.map((MAX_SHADOWS + at) as i32)),
         };
     }
     out
+}
+
+/// This many shadow maps, and each of them.
+fn shadow_targets(device: &wgpu::Device, count: usize) -> (wgpu::TextureView, Vec<wgpu::TextureView>) {
+    let attachment = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
+    let maps = texture(device, "shadow maps", (SHADOW_MAP_SIZE, SHADOW_MAP_SIZE), count as u32, 1, DEPTH_FORMAT, attachment);
+    let all = maps.create_view(&wgpu::TextureViewDescriptor { dimension: Some(wgpu::TextureViewDimension::D2Array), ..Default::default() });
+    let layer = |base_array_layer| {
+        let dimension = Some(wgpu::TextureViewDimension::D2);
+        maps.create_view(&wgpu::TextureViewDescriptor { dimension, base_array_layer, array_layer_count: Some(1), ..Default::default() })
+    };
+    (all, (0..count as u32).map(layer).collect())
 }
 
 fn slot(buffer: &wgpu::Buffer, size: usize) -> wgpu::BindingResource<'_> {

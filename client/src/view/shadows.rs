@@ -2,8 +2,14 @@
 
 use glam::{Mat3, Mat4, Vec3, Vec4};
 
+use mr360_shaders::layout::{self, SHADOW_MAP_SIZE};
+
 use crate::scene::mesh::Bounds;
 
+/// Sides that a frustum may have between one and its double.
+const STEPS_AN_OCTAVE: f32 = 4.0;
+/// Texels beside the casters that stay empty, one of them for the snap: what lies at the edge is taken for all beyond.
+const EMPTY_TEXELS: f32 = 3.0;
 /// Shadows on the ground end at this distance from their caster, metres.
 pub const LONGEST_SHADOW_M: f32 = 60.0;
 
@@ -20,24 +26,53 @@ pub struct Frustum {
     pub range_m: f32,
 }
 
+impl Frustum {
+    /// Side of a texel, metres.
+    #[must_use]
+    pub fn texel_m(&self) -> f32 {
+        2.0 * self.half_width_m / SHADOW_MAP_SIZE as f32
+    }
+
+    /// As the shaders look into it, from this layer.
+    #[must_use]
+    pub fn map(&self, layer: i32) -> layout::ShadowMap {
+        let from_world = self.shadow_from_world.to_cols_array_2d();
+        layout::ShadowMap { from_world, half_width_m: self.half_width_m, range_m: self.range_m, texel_m: self.texel_m(), layer }
+    }
+}
+
 /// Fits a frustum around the casters' boxes as seen from the light. Receivers need not lie within: outside of the
 /// square nothing can hide the light, and depth beyond the range counts as its end. `margin_m` is room for penumbrae.
 ///
-/// The basis hangs on the light alone, so that turning the camera moves no texel.
+/// The basis hangs on the light alone, so that turning the camera moves no texel. The side goes in steps and the corner
+/// lies on a texel of the whole plane, so that objects that move leave the texels of all others where they are.
 #[must_use]
 pub fn fit(direction: Vec3, casters: &[Bounds], margin_m: f32) -> Frustum {
+    fit_over(direction, casters, casters, margin_m)
+}
+
+/// The same, with a square around the first boxes and the depth of the others: of casters that reach far beyond what
+/// their shadows are asked for.
+#[must_use]
+pub fn fit_over(direction: Vec3, across: &[Bounds], along: &[Bounds], margin_m: f32) -> Frustum {
     let (right, up) = direction.any_orthonormal_pair();
     let light_from_world = Mat3::from_cols(right, up, direction).transpose();
-    let seen = casters.iter().flat_map(Bounds::corners).fold(Bounds::EMPTY, |b, corner| b.including(light_from_world * corner));
-    let (center, half) = (seen.center(), seen.half());
-    let half_width_m = half.x.max(half.y).max(1e-3) + margin_m;
-    let range_m = (2.0 * half.z).max(1e-3) * 1.02;
-    let nearest = center.z + half.z * 1.02;
+    let seen = |boxes: &[Bounds]| boxes.iter().flat_map(Bounds::corners).fold(Bounds::EMPTY, |b, at| b.including(light_from_world * at));
+    let (square, depth) = (seen(across), seen(along));
+    let center = square.center().truncate().extend(depth.center().z);
+    let half = square.half().truncate().extend(depth.half().z);
+    let needed_m = (half.x.max(half.y).max(1e-3) + margin_m) * (1.0 + EMPTY_TEXELS / (0.5 * SHADOW_MAP_SIZE as f32));
+    let half_width_m = ((needed_m.log2() * STEPS_AN_OCTAVE).ceil() / STEPS_AN_OCTAVE).exp2();
+    let texel_m = 2.0 * half_width_m / SHADOW_MAP_SIZE as f32;
+    let corner = (center / texel_m).round() * texel_m;
+    // Room at both ends, for rounding: a flat caster that faces the light has no depth of its own.
+    let room_m = (0.02 * half.z).max(1e-3);
+    let range_m = 2.0 * (half.z + room_m);
     // Rows: x and y of the light's plane over the half width; z counts away from the light.
     let rows = [
-        (right / half_width_m).extend(-center.x / half_width_m),
-        (up / half_width_m).extend(-center.y / half_width_m),
-        (-direction).extend(nearest),
+        (right / half_width_m).extend(-corner.x / half_width_m),
+        (up / half_width_m).extend(-corner.y / half_width_m),
+        (-direction).extend(center.z + half.z + room_m),
         Vec4::W,
     ];
     let shadow_from_world = Mat4::from_cols(rows[0], rows[1], rows[2], rows[3]).transpose();
@@ -80,6 +115,50 @@ mod tests {
                 assert!((beyond.z - here.z - 1.0).abs() < 1e-4 && (beyond - here).truncate().length() < 1e-4);
             }
         }
+    }
+
+    #[test]
+    fn a_flat_caster_that_faces_the_light_keeps_its_depth() {
+        // A metre up and a kilometre away: floats there are 61 µm apart.
+        for center in [Vec3::Y, Vec3::new(1000.0, 1.0, -1000.0)] {
+            let flat = [Bounds { min: center - Vec3::new(0.5, 0.0, 0.5), max: center + Vec3::new(0.5, 0.0, 0.5) }];
+            for direction in [Vec3::Y, Vec3::NEG_Y, Vec3::new(0.6, 0.48, -0.64)] {
+                let frustum = fit(direction, &flat, 0.0);
+                for corner in flat[0].corners() {
+                    let at = frustum.clip_from_world.transform_point3(corner);
+                    assert!(at.z > 5e-3 && at.z < 1.0 - 5e-3, "{direction} {center}: {at}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn objects_that_move_leave_the_texels_where_they_are() {
+        let still = Bounds { min: Vec3::new(-0.5, -1.6, -4.5), max: Vec3::new(0.5, -0.6, -3.5) };
+        let direction = Vec3::new(0.5, 0.8, 0.3).normalize();
+        let texel_of = |frustum: &Frustum, point: Vec3| {
+            let at = frustum.shadow_from_world.transform_point3(point).truncate();
+            at * (0.5 * SHADOW_MAP_SIZE as f32)
+        };
+        let point = Vec3::new(0.2, -1.0, -3.7);
+        let mut sides = Vec::new();
+        let mut first: Option<(Frustum, glam::Vec2)> = None;
+        for step in 0..200 {
+            let offset = Vec3::new(0.007, 0.0, 0.0031) * step as f32;
+            let moving = Bounds { min: Vec3::new(0.8, -1.6, -3.3) + offset, max: Vec3::new(1.4, -1.0, -2.7) + offset };
+            let frustum = fit(direction, &[still, moving], 0.02);
+            let here = texel_of(&frustum, point);
+            if sides.last() != Some(&frustum.half_width_m) {
+                sides.push(frustum.half_width_m);
+                first = None;
+            }
+            let (_, there) = *first.get_or_insert((frustum, here));
+            let moved = here - there;
+            // Rounding of coordinates of a few metres over texels of a few millimetres.
+            assert!((moved - moved.round()).abs().max_element() < 0.01, "step {step}: {moved}");
+        }
+        // 1.4 m of way widen the square by a half at most: two steps or three.
+        assert!(sides.len() <= 4, "{sides:?}");
     }
 
     #[test]

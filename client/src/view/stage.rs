@@ -9,6 +9,7 @@ use mr360_shaders::layout::{self, MAX_OCCLUDERS};
 use mr360_shaders::source::{OCCLUDER_REACH, Surface};
 
 use super::models::{GpuModel, GpuPart, Models};
+use super::place::Place;
 use super::plan::{SceneNeeds, reflects};
 use super::shadows::ground_shadow;
 use crate::environment::FrameLight;
@@ -19,14 +20,14 @@ use crate::scene::occluder;
 use crate::scene::pick::Target;
 
 /// Most drawn parts of all objects together.
-const MAX_INSTANCES: usize = 65_536;
+pub(super) const MAX_INSTANCES: usize = 65_536;
 
-/// An object that is left out of the picture, and why.
+/// An object or a mesh of the place that is left out of the picture, and why.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("object {} is not drawn: model {model}: {fault}", .object.0)]
+#[error("{element} is not drawn: model {model}: {fault}")]
 pub struct SceneWarning {
-    /// Which object.
-    pub object: ObjectId,
+    /// Which.
+    pub element: Element,
     /// Its model.
     pub model: AssetId,
     /// What is wrong with it.
@@ -45,6 +46,24 @@ pub enum ModelFault {
     /// The scene is full.
     #[error("the scene draws more than {MAX_INSTANCES} parts; use simpler models or fewer objects")]
     TooManyParts,
+}
+
+/// What of a scene is left out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Element {
+    /// This object.
+    Object(ObjectId),
+    /// The mesh of the place that is the so manieth, counted from 1.
+    Place(usize),
+}
+
+impl std::fmt::Display for Element {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Object(id) => write!(f, "object {}", id.0),
+            Self::Place(index) => write!(f, "place {index}"),
+        }
+    }
 }
 
 /// One draw call.
@@ -66,11 +85,14 @@ pub(super) struct Stage {
     pub(super) instances: Vec<layout::Instance>,
     pub(super) draws: Vec<Draw>,
     pub(super) occluders: Vec<layout::Occluder>,
+    /// Those that found no room, the smallest.
+    pub(super) occluders_lost: usize,
     pub(super) casters: Vec<Bounds>,
     pub(super) targets: Vec<Target>,
     pub(super) needs: SceneNeeds,
     pub(super) ground_y: f32,
     pub(super) triangles: u64,
+    pub(super) place: Place,
 }
 
 struct Placed<'a> {
@@ -99,7 +121,7 @@ impl Stage {
                 None => ModelFault::Missing,
             };
             if let Geometry::Model(model) = object.geometry {
-                warnings.push(SceneWarning { object: object.id, model, fault });
+                warnings.push(SceneWarning { element: Element::Object(object.id), model, fault });
             }
         }
         // Objects of the same geometry and kind of surface share draws; those with a material of their own use none
@@ -110,8 +132,13 @@ impl Stage {
         for run in placed.chunk_by(|a, b| key(a) == key(b)) {
             stage.add_run(run);
         }
-        stage.occluders = occluders(&placed);
+        (stage.occluders, stage.occluders_lost) = occluders(&placed);
         stage.needs.objects = placed.len();
+        for (index, mesh) in (1..).zip(&scene.place) {
+            if let Err(fault) = stage.add_place(mesh, models, &mut parts) {
+                warnings.push(SceneWarning { element: Element::Place(index), model: mesh.model, fault });
+            }
+        }
         (stage, warnings)
     }
 
@@ -208,7 +235,8 @@ fn instance(placed: &Placed<'_>, part: &GpuPart) -> layout::Instance {
     }
 }
 
-fn occluders(placed: &[Placed<'_>]) -> Vec<layout::Occluder> {
+/// The spheres that stand for the objects, and how many found no room.
+fn occluders(placed: &[Placed<'_>]) -> (Vec<layout::Occluder>, usize) {
     let spheres_of = |placed: &Placed<'_>, detailed: bool| {
         let (transform, model) = (placed.object.transform, placed.model);
         let spheres = if detailed {
@@ -231,7 +259,8 @@ fn occluders(placed: &[Placed<'_>]) -> Vec<layout::Occluder> {
     if all.len() > MAX_OCCLUDERS {
         all = placed.iter().flat_map(|p| spheres_of(p, false)).collect();
         all.sort_by(|a, b| b.radius.total_cmp(&a.radius));
-        all.truncate(MAX_OCCLUDERS);
     }
-    all
+    let lost = all.len().saturating_sub(MAX_OCCLUDERS);
+    all.truncate(MAX_OCCLUDERS);
+    (all, lost)
 }

@@ -1,0 +1,128 @@
+//! Meshes of the real place: they catch what objects change, cast the shadows that the video already shows, and hide
+//! what is behind them. Wang et al. call the two sides bidirectional shadows; here the real side keeps a virtual shadow
+//! from darkening what a real one has darkened.
+
+use bytemuck::Zeroable as _;
+use glam::{Mat3, Mat4, Vec3};
+use mr360_protocol::light::DirectionalLight;
+use mr360_protocol::scene::{Geometry, PlaceMesh};
+use mr360_shaders::layout;
+use mr360_shaders::source::{OCCLUDER_REACH, Surface};
+
+use super::models::Models;
+use super::pipelines::{Kind, Use};
+use super::plan::MAX_SHADOWS;
+use super::resources::VIEW_STRIDE;
+use super::shadows::{Frustum, fit_over};
+use super::stage::{Draw, MAX_INSTANCES, ModelFault, Stage};
+use super::{FrameReport, PLACE_SHADOWS, Renderer, depth_attachment, draw_part};
+use crate::environment::light::tan_radius;
+use crate::scene::mesh::Bounds;
+
+/// The place's penumbrae have room beside what objects can change as from this far away, metres.
+const PENUMBRA_FROM_M: f32 = 2.0;
+
+/// What of the place is drawn until the scene changes.
+#[derive(Debug, Default)]
+pub(super) struct Place {
+    /// Each with whether it casts shadows.
+    pub(super) draws: Vec<(Draw, bool)>,
+    /// Of all of them.
+    pub(super) bounds: Vec<Bounds>,
+    /// Of those that cast shadows.
+    pub(super) casters: Vec<Bounds>,
+    triangles: u64,
+}
+
+impl Stage {
+    /// Adds a mesh of the place, of which `parts` of the scene's are drawn so far.
+    pub(super) fn add_place(&mut self, mesh: &PlaceMesh, models: &Models, parts: &mut usize) -> Result<(), ModelFault> {
+        let geometry = Geometry::Model(mesh.model);
+        let model = models.get(&geometry).ok_or(ModelFault::Missing)?.map_err(|error| ModelFault::Broken(error.clone()))?;
+        if *parts + model.parts.len() > MAX_INSTANCES {
+            return Err(ModelFault::TooManyParts);
+        }
+        *parts += model.parts.len();
+        let transform = mesh.transform;
+        let world_from_object = Mat4::from_scale_rotation_translation(transform.scale, transform.rotation, transform.position);
+        let normals = Mat3::from_mat4(world_from_object).inverse().transpose();
+        for (part, one) in model.parts.iter().enumerate() {
+            let at = self.instances.len() as u32;
+            self.instances.push(layout::Instance {
+                world_from_object: world_from_object.to_cols_array_2d(),
+                normal_from_object: normals.to_cols_array_2d().map(|[x, y, z]| [x, y, z, 0.0]),
+                ..layout::Instance::zeroed()
+            });
+            let draw = Draw { geometry, part, instances: at..at + 1, textured: false, double_sided: true, surface: Surface::Rough };
+            self.place.draws.push((draw, mesh.casts_shadows));
+            self.place.triangles += u64::from(one.index_count / 3);
+        }
+        let corners = model.bounds.corners().map(|corner| world_from_object.transform_point3(corner));
+        let bounds = corners.into_iter().fold(Bounds::EMPTY, Bounds::including);
+        self.place.bounds.push(bounds);
+        if mesh.casts_shadows {
+            self.place.casters.push(bounds);
+        }
+        Ok(())
+    }
+
+    /// One light's view of the place, over all that objects can change: there alone its shadows are asked for.
+    pub(super) fn place_frustum(&self, light: &DirectionalLight) -> Frustum {
+        let reach = |occluder: &layout::Occluder| {
+            let (center, reach) = (Vec3::from_array(occluder.center), Vec3::splat(occluder.radius * OCCLUDER_REACH));
+            Bounds { min: center - reach, max: center + reach }
+        };
+        let changed: Vec<_> = self.occluders.iter().map(reach).chain(self.casters.iter().copied()).collect();
+        fit_over(light.direction, &changed, &self.place.casters, tan_radius(light.solid_angle_sr).min(0.5) * PENUMBRA_FROM_M)
+    }
+}
+
+impl Renderer {
+    /// Frusta of the place's shadow maps, for the lights that have maps of the objects; none where no mesh casts.
+    pub(super) fn place_frusta(&self, shadows: usize) -> Vec<Frustum> {
+        let count = if self.stage.place.casters.is_empty() { 0 } else { shadows };
+        self.current.lights.iter().take(count).map(|light| self.stage.place_frustum(light)).collect()
+    }
+
+    /// Draws the place as the first lights see it, unless its maps show just that.
+    pub(super) fn draw_place_shadows(&mut self, encoder: &mut wgpu::CommandEncoder, frusta: Vec<Frustum>, report: &mut FrameReport) {
+        if self.place_shown == frusta {
+            return;
+        }
+        for (at, (layer, name)) in self.resources.shadow_layers.iter().skip(MAX_SHADOWS).zip(PLACE_SHADOWS).take(frusta.len()).enumerate() {
+            let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+                label: Some(name),
+                depth_stencil_attachment: Some(depth_attachment(layer, 1.0, wgpu::StoreOp::Store)),
+                timestamp_writes: self.timer.pass(name),
+                ..wgpu::RenderPassDescriptor::default()
+            });
+            pass.set_pipeline(&self.pipelines.caster);
+            pass.set_bind_group(0, &self.resources.caster_instances, &[]);
+            pass.set_bind_group(1, &self.resources.caster_views, &[(MAX_SHADOWS + at) as u32 * VIEW_STRIDE]);
+            for (draw, _) in self.stage.place.draws.iter().filter(|(_, casts)| *casts) {
+                if let Some(Ok(model)) = self.models.get(&draw.geometry)
+                    && let Some(part) = model.parts.get(draw.part)
+                {
+                    draw_part(&mut pass, part, draw);
+                    report.draws += 1;
+                }
+            }
+        }
+        self.place_shown = frusta;
+    }
+
+    /// Draws the place into the layer: what objects change of it, and nothing where they do not.
+    pub(super) fn draw_place(&self, pass: &mut wgpu::RenderPass<'_>, kind: Kind, report: &mut FrameReport) {
+        let Some(pipeline) = self.pipelines.get(kind, Use::Place).filter(|_| kind.place) else { return };
+        pass.set_pipeline(pipeline);
+        for (draw, _) in &self.stage.place.draws {
+            if let Some(Ok(model)) = self.models.get(&draw.geometry)
+                && let Some(part) = model.parts.get(draw.part)
+            {
+                draw_part(pass, part, draw);
+                report.draws += 1;
+            }
+        }
+        report.triangles += self.stage.place.triangles;
+    }
+}
