@@ -38,7 +38,7 @@ use mr360_protocol::asset::AssetId;
 use mr360_protocol::light::LightFrame;
 use mr360_protocol::scene::{ObjectId, Scene};
 use mr360_shaders::layout;
-use mr360_shaders::source::{Reflections, Surface};
+use mr360_shaders::source::Reflections;
 
 use crate::camera::Camera;
 use crate::environment::{Environment, FrameLight};
