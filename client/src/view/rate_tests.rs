@@ -1,8 +1,8 @@
 //! What is done at which rate: the light at display rate, reflections with the picture, shadow maps when something changes.
 
-use glam::Vec3;
+use glam::{Quat, Vec3};
 use mr360_protocol::light::{Lift, LightFrame};
-use mr360_protocol::scene::{Scene, Shape};
+use mr360_protocol::scene::{Material, MaterialKind, PlaceMesh, Scene, Shape, Transform};
 
 use super::tests::{SIZE, ball, camera, diffuse, draw, gradient, mirror, object, panorama, pixel_of, scene, sun};
 use super::*;
@@ -142,7 +142,14 @@ fn every_pass_of_every_view_has_a_column() {
     let gpu = Gpu::headless().unwrap();
     let mut renderer = Renderer::new(&gpu, wgpu::TextureFormat::Rgba8UnormSrgb).unwrap();
     let mut environment = Environment::new(&gpu).unwrap();
-    assert!(renderer.set_scene(&gpu, &ball(mirror()), &|_| None).is_empty());
+    let mut scene = ball(mirror());
+    let mut glass = scene.objects[0].clone();
+    glass.id = ObjectId(2);
+    glass.material = Some(Material { kind: MaterialKind::Glass, ..mirror() });
+    scene.objects.push(glass);
+    let transform = Transform { position: Vec3::NEG_Y * 2.0, rotation: Quat::IDENTITY, scale: Vec3::ONE };
+    scene.place.push(PlaceMesh { model: AssetId::of(b"cube"), transform, casts_shadows: true });
+    assert!(renderer.set_scene(&gpu, &scene, &|_| Some(Ok(place_tests::cube()))).is_empty());
     let offscreen = crate::headless::Offscreen::new(&gpu.device, &gpu.queue, 32, 32);
     let target = offscreen.target();
     let mut seen = Vec::new();
@@ -156,7 +163,7 @@ fn every_pass_of_every_view_has_a_column() {
         gpu.wait().unwrap();
     }
     // All but those of the second light and further ones; names of columns are parted by commas.
-    for name in PASSES.into_iter().filter(|name| !["shadow 2", "shadow 3", "shadow 4"].contains(name)) {
+    for name in PASSES.into_iter().filter(|name| !SHADOWS[1..].contains(name) && !PLACE_SHADOWS[1..].contains(name)) {
         assert!(seen.contains(&name) && !name.contains(','), "{name}: {seen:?}");
     }
     assert!(seen.iter().all(|name| PASSES.contains(name)), "{seen:?}");
