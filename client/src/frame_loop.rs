@@ -244,7 +244,10 @@ impl FrameLoop {
         self.take_in();
         self.stale |= stage.prepare()?;
         let new_picture = self.update(stage)?;
-        self.relight(stage, redraw);
+        // A new picture comes on under its own light, whatever its upload took.
+        if !new_picture {
+            self.relight(stage, redraw);
+        }
         let wanted = match redraw {
             Redraw::OnPicture => new_picture || self.on_stage.as_ref().is_some_and(|on_stage| !on_stage.presented_once),
             Redraw::OnChange => self.stale || self.last_camera != Some(*camera),

@@ -205,7 +205,7 @@ impl Governor {
     fn step_down(&mut self, now: ClientTime, plan: &dyn Fn(Tier) -> Plan) -> Option<Tier> {
         let here = plan(self.tier);
         let next = (self.tier.0 + 1..=Tier::LOWEST.0).map(Tier).find(|tier| plan(*tier) != here)?;
-        if self.stepped_up.is_some_and(|at| now.0.saturating_sub(at.0) < REGRET_US) {
+        if self.stepped_up.take().is_some_and(|at| now.0.saturating_sub(at.0) < REGRET_US) {
             self.calm_us = (2 * self.calm_us).min(LONGEST_CALM_US);
         } else {
             self.calm_us = CALM_US;

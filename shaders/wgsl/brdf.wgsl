@@ -79,5 +79,6 @@ fn highlight(
 ) -> vec3<f32> {
     let alpha = highlight_alpha(roughness, tan_radius, footprint_sr);
     let wide = dfg(max(dot(n, v), 0.0), sqrt(alpha));
-    return ggx_direct(f0, n, v, l, alpha) * weights.specular / (f0 * wide.x + wide.y);
+    // A channel that metal does not reflect has neither: 0 of 0.
+    return ggx_direct(f0, n, v, l, alpha) * weights.specular / max(f0 * wide.x + wide.y, vec3(1e-6));
 }

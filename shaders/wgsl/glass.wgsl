@@ -10,6 +10,11 @@
 // The glass's back faces: outward normal, and metres from the eye; 0 where there are none.
 @group(0) @binding(8) var back_faces: texture_2d<f32>;
 
+// Facets turn a refracted ray by half as much as they are tilted, at both sides, and a reflected one by twice: the solid angle of the
+// one as a share of the other's, and the roughness whose lobe is as wide, its fourth root.
+const REFRACTED_SHARE: f32 = 0.125;
+const REFRACTED_ROUGHNESS: f32 = 0.5946;
+
 @fragment
 fn fs_glass_back(in: ObjectVertex) -> @location(0) vec4<f32> {
     return vec4(normalize(in.normal), distance(in.world, view.position));
@@ -170,8 +175,7 @@ fn fs_glass(in: ObjectVertex) -> @location(0) vec4<f32> {
     let fresnel = fresnel_dielectric(max(dot(n, v), 0.0), GLASS_IOR);
     let way = passage(in.world, n, v);
     let passed = (1.0 - fresnel) * pow(clamp(tint, vec3(1e-4), vec3(1.0)), vec3(way.length_m / GLASS_DEPTH_M));
-    // Facets turn a refracted ray by half as much as they are tilted, at both sides, and a reflected one by twice.
-    let refracted_sr = 0.125 * lobe_solid_angle(roughness * roughness);
+    let refracted_sr = REFRACTED_SHARE * lobe_solid_angle(roughness * roughness);
     let seen = beyond(way, sqrt(refracted_sr / PI));
     let through_sr = averaged(footprint_sr) + refracted_sr;
     let open = passed * (1.0 - seen.drawn.a);
@@ -182,7 +186,7 @@ fn fs_glass(in: ObjectVertex) -> @location(0) vec4<f32> {
     let through_share = open * map_share(environment_level(seen.direction, through_sr));
     for (var i = 0u; i < lighting.light_count; i++) {
         let light = lighting.lights[i];
-        let through_alpha = highlight_alpha(0.35 * roughness, light.tan_radius, footprint_sr);
+        let through_alpha = highlight_alpha(REFRACTED_ROUGHNESS * roughness, light.tan_radius, footprint_sr);
         var highlight = through_share * cone_of_light(dot(seen.direction, light.direction), through_alpha);
         if dot(n, light.direction) > 0.0 {
             let alpha = highlight_alpha(roughness, light.tan_radius, footprint_sr);

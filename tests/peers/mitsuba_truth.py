@@ -2,7 +2,7 @@
 """Path-traced truth for `mr360-bench render`: objects on a ground that looks, with nothing on it, exactly as the panorama does.
 
     pip install mitsuba==3.9.1 numpy
-    DRJIT_LIBLLVM_PATH=/usr/lib/x86_64-linux-gnu/libLLVM.so.19.1 \\
+    DRJIT_LIBLLVM_PATH=PATH_OF_LIBLLVM \\
         python mitsuba_truth.py truth   --panoramas target/media/hdr --scene tests/references/truth/SCENE.toml --out tests/references/truth
         python mitsuba_truth.py shadows --scenes tests/references/shadows
 

@@ -146,6 +146,8 @@ pub struct Renderer {
     samples: u32,
     /// Pictures since reflections were made.
     unreflected: u32,
+    /// Of the picture that they were made from.
+    reflected: FrameLight,
     /// What each shadow map holds; `None` where it shows another scene.
     shadows: [Option<Frustum>; plan::MAX_SHADOWS],
     timer: PassTimer,
@@ -179,6 +181,7 @@ impl Renderer {
             tier: Tier::FULL,
             samples: 0,
             unreflected: u32::MAX,
+            reflected: FrameLight::default(),
             shadows: [None; plan::MAX_SHADOWS],
             timer,
         })
@@ -211,6 +214,7 @@ impl Renderer {
     /// Looks reflections up this way from the next frame on.
     pub fn set_reflections(&mut self, method: Reflections) {
         self.reflections = method;
+        self.unreflected = u32::MAX;
     }
 
     /// Takes the light that belongs to the environment's picture.
@@ -272,13 +276,16 @@ impl Renderer {
             self.unreflected = self.unreflected.saturating_add(1);
         }
         if plan.reflections && (plan.reflections_every == 1 || self.unreflected >= plan.reflections_every) {
+            if self.unreflected > 0 {
+                self.reflected = self.light.clone();
+            }
             self.unreflected = 0;
             environment.refresh_reflections(gpu, encoder, &self.light, self.reflections, &mut self.timer);
         }
         let frusta: Vec<Frustum> =
             self.current.lights.iter().take(plan.shadows).map(|light| self.resources.frustum(light, &self.stage)).collect();
         let place = self.place_frusta(frusta.len());
-        self.resources.write_frame(gpu, &self.stage, (&self.current, &self.light), (&frusta, &place), plan.occlusion);
+        self.resources.write_frame(gpu, &self.stage, (&self.current, &self.reflected), (&frusta, &place), plan.occlusion);
         let mut report = FrameReport { plan, ..FrameReport::default() };
         self.draw_shadows(encoder, &frusta, &mut report);
         self.draw_place_shadows(encoder, place, &mut report);

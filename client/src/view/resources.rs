@@ -2,7 +2,7 @@
 
 use bytemuck::Zeroable;
 use glam::Vec3;
-use mr360_protocol::light::DirectionalLight;
+use mr360_protocol::light::{DirectionalLight, SAME_LIGHT_COS};
 use mr360_shaders::layout::{self, MAX_OCCLUDERS, SHADOW_MAP_SIZE};
 use mr360_shaders::sh;
 
@@ -174,7 +174,8 @@ impl Resources {
 /// Lights that are not in the picture's light are not cut out of its reflections, and must not come back as highlights.
 fn lighting(stage: &Stage, (light, picture): (&FrameLight, &FrameLight), frusta: &[Frustum], place: &[Frustum]) -> layout::Lighting {
     let cut = |light: &DirectionalLight| {
-        picture.lights.iter().find(|own| own.id == light.id).map_or(0.0, |own| map_cut(own.solid_angle_sr).share)
+        let same = |own: &&DirectionalLight| own.id == light.id && own.direction.dot(light.direction) > SAME_LIGHT_COS;
+        picture.lights.iter().find(same).map_or(0.0, |own| map_cut(own.solid_angle_sr).share)
     };
     let ambient = sh::irradiance(&light.sh, Vec3::Y);
     let falling: Vec<Vec3> = light.lights.iter().map(|l| l.irradiance.max(Vec3::ZERO) * l.direction.y.max(0.0)).collect();

@@ -5,7 +5,7 @@ use glam::Vec3;
 use super::{DirectionalLight, LUMA, LightFrame, MAX_LIGHTS};
 
 /// Lights of one id that lie farther apart than this, as a cosine (30°), are two: no light turns at 900°/s, and ids that are ranks say nothing.
-const SAME_LIGHT_COS: f32 = 0.866_025_4;
+pub const SAME_LIGHT_COS: f32 = 0.866_025_4;
 
 impl LightFrame {
     /// The light at `weight` in [0, 1] of the way from this frame to `next`; it still has this frame's times and lift, which belong to the

@@ -4,6 +4,8 @@ use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
 mod blend;
+
+pub use blend::SAME_LIGHT_COS;
 mod wire;
 
 /// Weights of relative luminance in linear BT.709 and of luma in BT.709 R'G'B' (ITU-R BT.709).

@@ -59,7 +59,7 @@ impl Bright {
         Self { sources: Vec::with_capacity(MOST_OBSERVATIONS) }
     }
 
-    /// Measures the candidates, and takes the share `pooled` off what recovery gave them; returns how much that is. `moved` is told its
+    /// Measures the candidates, and takes the share `pooled` off what recovery gave their single channels; returns how much that is. `moved` is told its
     /// direction and irradiance.
     pub(super) fn measure(&mut self, scene: &Scene<'_>, candidates: &[Candidate], pooled: f64, mut moved: impl FnMut(Vec3, DVec3)) -> f64 {
         self.sources.clear();
@@ -70,8 +70,9 @@ impl Bright {
                 continue;
             }
             let direction = scene.core(&rest, |texel| scene.is_clipped(texel));
-            let mut source = Source { candidate: *candidate, rest, direction, irradiance: rest.irradiance, hidden: scene.hidden(&rest) };
-            let change = pooled * source.hidden;
+            let (hidden, of_channels) = scene.hidden(&rest);
+            let mut source = Source { candidate: *candidate, rest, direction, irradiance: rest.irradiance, hidden };
+            let change = pooled * of_channels;
             if change > 0.0 {
                 let irradiance = scene.tint.as_dvec3() * change;
                 moved(direction.as_vec3(), -irradiance);
@@ -132,18 +133,19 @@ impl Scene<'_> {
         }
     }
 
-    /// What recovery added to the rest of a candidate: what is above white.
-    fn hidden(&self, rest: &Candidate) -> f64 {
-        if self.clipped.is_none() {
-            return 0.0;
-        }
+    /// What recovery added to the rest of a candidate, which is what is above white; and what of that it added because single channels clip, which
+    /// a coloured ceiling has and a sun has not.
+    fn hidden(&self, rest: &Candidate) -> (f64, f64) {
+        let Some(degree) = self.clipped else { return (0.0, 0.0) };
         let width = self.panorama.size.width as usize;
-        let texels = Candidates::members(rest, self.regions).iter().map(|texel| *texel as usize);
-        let excess = |texel: usize| {
-            let above = self.panorama.radiance(texel).dot(LUMA) - self.threshold.max(1.0);
-            f64::from(above.max(0.0) * self.panorama.geometry.solid_angle_sr[texel / width])
-        };
-        texels.filter(|texel| !self.is_clipped(*texel)).map(excess).sum::<f64>().min(rest.strength)
+        let (mut all, mut of_channels) = (0.0, 0.0);
+        for texel in Candidates::members(rest, self.regions).iter().map(|texel| *texel as usize).filter(|texel| !self.is_clipped(*texel)) {
+            let above = (self.panorama.radiance(texel).dot(LUMA) - self.threshold.max(1.0)).max(0.0);
+            let added = f64::from(above * self.panorama.geometry.solid_angle_sr[texel / width]);
+            all += added;
+            of_channels += added * f64::from(1.0 - degree[texel] / INSIDE).powi(2);
+        }
+        (all.min(rest.strength), of_channels.min(rest.strength))
     }
 }
 

@@ -87,7 +87,7 @@ pub(super) struct Sky<'a> {
 pub(super) struct Clipped {
     list: Vec<Region>,
     likelihood: Vec<f64>,
-    /// Share of what recovery added that goes to the likeliest: [`POOLED`], or 0 where no region is likely.
+    /// Share of what recovery added that goes to the likeliest: [`POOLED`], and less where all regions are specks.
     pooled: f64,
 }
 
@@ -151,18 +151,16 @@ impl Clipped {
         self.list.iter().take(MOST_OBSERVATIONS).map(|region| region.texel)
     }
 
-    /// How likely each region is to hold the sun; the sum is 1, or 0 where there are specks alone.
+    /// How likely each region is to hold the sun; the sum is 1, or there are none.
     fn weigh(&mut self) {
+        let whole = |region: &Region| (region.solid_angle_sr / WHOLE_SR).min(1.0).powi(2);
         let best = self.list.iter().map(Region::score).fold(f64::NEG_INFINITY, f64::max);
         self.likelihood.clear();
-        self.likelihood.extend(self.list.iter().map(|region| {
-            let whole = (region.solid_angle_sr / WHOLE_SR).min(1.0);
-            whole * whole * ((region.score() - best) / TEMPERATURE).exp()
-        }));
+        self.likelihood.extend(self.list.iter().map(|region| whole(region) * ((region.score() - best) / TEMPERATURE).exp()));
         let sum: f64 = self.likelihood.iter().sum();
-        // Specks alone: each keeps what it has.
-        self.pooled = if sum > 0.0 { POOLED } else { 0.0 };
         self.likelihood.iter_mut().for_each(|likelihood| *likelihood /= sum.max(f64::MIN_POSITIVE));
+        // Specks get nothing that is not theirs.
+        self.pooled = POOLED * self.list.iter().map(whole).fold(0.0, f64::max);
     }
 }
 

@@ -65,6 +65,20 @@ fn a_glint_does_not_put_out_a_lamp_that_is_not_clipped() {
 }
 
 #[test]
+fn a_speck_takes_nothing_from_a_lamp_that_is_on_the_way_to_white() {
+    for linear in [0.93, 0.95, 0.96] {
+        let lamp = Disc::at(40.0, 40.0, 5.0, Vec3::splat(srgb_encode(linear)));
+        let near = |discs: &[Disc]| -> f32 {
+            let lights = estimate(&sky(Transfer::Srgb, Vec3::splat(0.2), discs)).lights;
+            lights.iter().filter(|light| degrees(light.direction, lamp.centre) < 1.0).map(|light| luminance(light.irradiance)).sum()
+        };
+        // One texel, a third of what counts as whole.
+        let (alone, beside) = (near(&[lamp]), near(&[lamp, Disc::at(-60.117, 60.117, 0.5, Vec3::ONE)]));
+        assert!(alone > 0.0 && (beside / alone - 1.0).abs() < 0.05, "{linear}: {alone} {beside}");
+    }
+}
+
+#[test]
 fn a_light_that_was_seen_stays_the_same_however_much_it_is_clipped() {
     // Eleven times white, and seen as 0.9 of it 3.6 stops darker.
     let scene = |gain: f32| {

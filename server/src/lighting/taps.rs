@@ -12,7 +12,7 @@ use super::averages::{MOST_AT_ONCE, Plane, Shares};
 
 /// Pixels that are picked from together.
 const WINDOW: usize = 16;
-/// Weights from here on would overflow sums of two 16-bit products.
+/// Larger weights would overflow sums of two 16-bit products.
 const MOST_WEIGHT: u32 = 64;
 /// Sums of four pixels each that are made at once, from two windows.
 const AT_ONCE: usize = 8;
