@@ -66,12 +66,21 @@ pub struct RenderArgs {
     /// harmonics of the panorama alone, and no light casts a shadow.
     #[arg(long)]
     pub light: Option<PathBuf>,
+    /// Time at which animated models are shown, seconds after their animations began.
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, value_parser = parse_time, allow_negative_numbers = true)]
+    pub time: f64,
     /// Layout of the panorama's views.
     #[arg(long, value_parser = parse_stereo, default_value = "mono")]
     pub stereo: StereoLayout,
     /// Show the right eye's view of a stereo panorama.
     #[arg(long)]
     pub right_eye: bool,
+}
+
+/// A day is enough for every animation, and microseconds count it exactly.
+fn parse_time(text: &str) -> Result<f64, String> {
+    let seconds: f64 = text.parse().map_err(|_| "not a number".to_owned())?;
+    if (0.0..=86_400.0).contains(&seconds) { Ok(seconds) } else { Err("from 0 to 86400 seconds".to_owned()) }
 }
 
 fn parse_stereo(text: &str) -> Result<StereoLayout, String> {
@@ -117,7 +126,8 @@ struct Inputs {
 
 impl Inputs {
     fn load(args: &RenderArgs) -> anyhow::Result<Self> {
-        let picture = load_panorama(&args.panorama, args.stereo)?;
+        let mut picture = load_panorama(&args.panorama, args.stereo)?;
+        picture.pts_us = (args.time * 1e6).round() as u64;
         let (scene, assets) = load_scene(&args.scene)?;
         let light = match &args.light {
             Some(path) => load_light(path)?,
@@ -158,7 +168,7 @@ fn save((width, height): (u32, u32), coded: (PictureFile, Vec<u8>), linear: Opti
 
 const TOO_FEW: &str = "the GPU gave back fewer pixels than were asked for";
 
-/// A still panorama with its light, and a scene to draw into it.
+/// A still panorama with its light, and a scene to draw into it: in the pose of the picture's time.
 pub struct Still<'a> {
     /// Draws.
     pub gpu: &'a Gpu,
@@ -202,6 +212,7 @@ impl Still<'_> {
         environment.upload(gpu, self.picture).map_err(|error| Failure::Input(error.into()))?;
         let mut renderer = Renderer::new(gpu, format).map_err(running)?;
         renderer.set_light(self.light);
+        renderer.set_time(self.picture.pts_us);
         if let Some(warning) = renderer.set_scene(gpu, self.scene, &|id| self.assets.get(&id).cloned().map(Ok)).into_iter().next() {
             return Err(Failure::Input(warning.into()));
         }

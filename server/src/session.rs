@@ -246,7 +246,7 @@ mod tests {
 
     fn session() -> Session {
         let object =
-            |id| Object { id: ObjectId(id), geometry: Geometry::Shape(Shape::Cube), transform: Transform::default(), material: None };
+            |id| Object { id: ObjectId(id), geometry: Geometry::Shape(Shape::Cube), transform: Transform::default(), material: None, animation: Default::default() };
         Session::new(Scene { objects: vec![object(1), object(2)], ..Scene::default() })
     }
 

@@ -22,6 +22,8 @@ pub const ROUGH_FROM: f32 = 0.7;
 pub const ROUGH_TO: f32 = 0.9;
 /// GGX alpha below which a lobe is as good as a cone.
 pub const MIRROR_ALPHA: f32 = 0.02;
+/// Samples a pixel of objects and ground.
+pub const SAMPLES: u32 = 4;
 /// Refractive index of glass.
 pub const GLASS_IOR: f32 = 1.5;
 
@@ -60,6 +62,26 @@ impl Surface {
     }
 }
 
+/// What a surface's alpha does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Default)]
+pub enum Alpha {
+    /// Nothing.
+    #[default]
+    Opaque,
+    /// Cuts holes.
+    Mask,
+    /// Lets through what lies behind.
+    Blend,
+}
+
+impl Alpha {
+    /// Its number in the shaders.
+    #[must_use]
+    pub fn index(self) -> u32 {
+        self as u32
+    }
+}
+
 /// A shader module: a file with entry points.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Module {
@@ -69,6 +91,10 @@ pub enum Module {
     EnvironmentMip,
     /// Depth from a light.
     Caster,
+    /// Depth from a light, of surfaces with holes.
+    Cutout,
+    /// Vertices put into a pose.
+    Deform,
     /// Virtual objects.
     Object,
     /// Ground as shadow catcher.
@@ -81,8 +107,17 @@ pub enum Module {
 
 impl Module {
     /// Every module.
-    pub const ALL: [Self; 7] =
-        [Self::EnvironmentLift, Self::EnvironmentMip, Self::Caster, Self::Object, Self::Ground, Self::Composite, Self::Probe];
+    pub const ALL: [Self; 9] = [
+        Self::EnvironmentLift,
+        Self::EnvironmentMip,
+        Self::Caster,
+        Self::Cutout,
+        Self::Deform,
+        Self::Object,
+        Self::Ground,
+        Self::Composite,
+        Self::Probe,
+    ];
 
     /// Name of its file.
     #[must_use]
@@ -91,6 +126,8 @@ impl Module {
             Self::EnvironmentLift => "environment_lift.wgsl",
             Self::EnvironmentMip => "environment_mip.wgsl",
             Self::Caster => "caster.wgsl",
+            Self::Cutout => "cutout.wgsl",
+            Self::Deform => "deform.wgsl",
             Self::Object => "object.wgsl",
             Self::Ground => "ground.wgsl",
             Self::Composite => "composite.wgsl",
@@ -127,12 +164,15 @@ files![
     "caster.wgsl",
     "colour.wgsl",
     "composite.wgsl",
+    "cutout.wgsl",
+    "deform.wgsl",
     "environment_lift.wgsl",
     "environment_mip.wgsl",
     "equirect.wgsl",
     "frame.wgsl",
     "fullscreen.wgsl",
     "ground.wgsl",
+    "material.wgsl",
     "object.wgsl",
     "occlusion.wgsl",
     "probe.wgsl",
@@ -228,6 +268,10 @@ fn prelude() -> String {
         ("TRANSFER_PQ", transfer_index(Transfer::Pq)),
         ("TRANSFER_HLG", transfer_index(Transfer::Hlg)),
         ("MAX_OCCLUDERS", MAX_OCCLUDERS as u32),
+        ("SAMPLES", SAMPLES),
+        ("ALPHA_OPAQUE", Alpha::Opaque.index()),
+        ("ALPHA_MASK", Alpha::Mask.index()),
+        ("ALPHA_BLEND", Alpha::Blend.index()),
         ("SURFACE_ROUGH", Surface::Rough.index()),
         ("SURFACE_MIRROR", Surface::Mirror.index()),
         ("SURFACE_GLOSSY", Surface::Glossy.index()),

@@ -96,6 +96,8 @@ pub struct LiveStage {
     /// Objects need the light of their picture; without it they are hidden.
     lit: bool,
     light: Option<LightFrame>,
+    /// Of the picture, microseconds: when its animations are.
+    pts_us: u64,
     warned: HashMap<ObjectId, String>,
 }
 
@@ -106,13 +108,15 @@ impl LiveStage {
     /// When the build lacks a shader.
     pub fn new(gpu: Gpu, shared: SharedScene) -> Result<Self, BoxError> {
         let environment = Environment::new(&gpu)?;
-        Ok(Self { gpu, environment, shared, renderer: None, shown: None, ground_y: 0.0, lit: false, light: None, warned: HashMap::new() })
+        let (renderer, shown, light, warned) = (None, None, None, HashMap::new());
+        Ok(Self { gpu, environment, shared, renderer, shown, ground_y: 0.0, lit: false, light, pts_us: 0, warned })
     }
 
     fn follow_scene(&mut self) {
         let Some((_, renderer)) = &mut self.renderer else { return };
         // Without light there is nothing to show objects by. They stay on the GPU: the light may be back with the next picture.
         renderer.set_visible(self.lit);
+        renderer.set_time(self.pts_us);
         if self.shown == Some(self.shared.lock().version) {
             return;
         }
@@ -138,6 +142,7 @@ impl Stage for LiveStage {
         let failed = |source: BoxError| FrameError::Failed { action: "uploading a picture", source };
         self.environment.upload(&self.gpu, &paired.picture).map_err(|error| failed(error.into()))?;
         self.lit = paired.light.is_some();
+        self.pts_us = paired.picture.pts_us;
         if let Some(ReceivedLight { light, .. }) = paired.light {
             if let Some((_, renderer)) = &mut self.renderer {
                 renderer.set_light(&light);
@@ -202,20 +207,12 @@ mod tests {
 
     fn model(indices: usize) -> LoadedModel {
         let mesh = Mesh { vertices: Vec::new(), indices: vec![0; indices] };
-        let surface = crate::scene::material::Surface {
-            base_color: Vec3::ONE,
-            roughness: 1.0,
-            metallic: 0.0,
-            glass: false,
-            double_sided: false,
-            base_color_texture: None,
-            metallic_roughness_texture: None,
-        };
-        Ok(Arc::new(Model { parts: vec![crate::scene::model::Part { mesh, surface }], textures: Vec::new(), bounds: Bounds::EMPTY }))
+        let parts = vec![crate::scene::model::Part { mesh, ..Default::default() }];
+        Ok(Arc::new(Model { parts, textures: Vec::new(), bounds: Bounds::EMPTY, rig: None }))
     }
 
     fn snapshot(geometry: Geometry) -> SceneMessage {
-        let object = Object { id: ObjectId(1), geometry, transform: Transform::default(), material: None };
+        let object = Object { id: ObjectId(1), geometry, transform: Transform::default(), material: None, animation: Default::default() };
         SceneMessage::Snapshot(Scene { objects: vec![object], ..Scene::default() })
     }
 

@@ -6,9 +6,13 @@
 //! averages zeros.
 
 mod extent;
+mod material;
+#[cfg(test)]
+mod material_tests;
 mod models;
 mod pipelines;
 pub mod plan;
+mod poses;
 #[cfg(test)]
 mod probe_tests;
 #[cfg(test)]
@@ -20,15 +24,19 @@ mod stage;
 mod tests;
 pub mod timing;
 
+use std::collections::HashSet;
+
 use glam::Vec3;
 use mr360_protocol::asset::AssetId;
 use mr360_protocol::light::LightFrame;
-use mr360_protocol::scene::{ObjectId, Scene};
+use mr360_protocol::scene::{Geometry, ObjectId, Scene};
 use mr360_shaders::layout;
+use mr360_shaders::source::Alpha;
 
 use crate::camera::Camera;
 use crate::environment::{Environment, FrameLight};
 use crate::gpu::{Gpu, GpuError};
+use crate::scene::mesh::Bounds;
 use crate::scene::model::LoadedModel;
 use crate::scene::pick::{Ray, nearest};
 use crate::stats::PassTime;
@@ -36,7 +44,7 @@ use crate::stats::PassTime;
 pub use plan::Plan;
 pub use stage::{ModelFault, SceneWarning};
 
-use extent::{Part, touched};
+use extent::{Part, in_view, touched};
 use models::Models;
 use pipelines::{Kind, Layouts, Pipelines, Use};
 use plan::SceneNeeds;
@@ -46,7 +54,7 @@ use stage::Stage;
 use timing::PassTimer;
 
 /// Passes that a frame may have, in order.
-pub const PASSES: [&str; 7] = ["shadow 1", "shadow 2", "shadow 3", "shadow 4", "reflections", "objects", "composite"];
+pub const PASSES: [&str; 8] = ["deform", "shadow 1", "shadow 2", "shadow 3", "shadow 4", "reflections", "objects", "composite"];
 
 /// Most views of one frame.
 pub const MAX_VIEWS: usize = 4;
@@ -84,6 +92,7 @@ pub struct Renderer {
     light: FrameLight,
     light_changed: bool,
     visible: bool,
+    time_us: u64,
     layers: Vec<Layer>,
     timer: PassTimer,
 }
@@ -98,10 +107,11 @@ impl Renderer {
         let layouts = Layouts::new(&gpu.device);
         let pipelines = Pipelines::new(gpu, &layouts, format)?;
         let resources = Resources::new(&gpu.device, &layouts);
-        let models = Models::new(gpu, &layouts.material);
+        let models = Models::new(gpu, &layouts.material)?;
         let timer = PassTimer::new(gpu);
         let (stage, light) = (Stage::default(), FrameLight::default());
-        Ok(Self { layouts, pipelines, resources, models, stage, light, light_changed: true, visible: true, layers: Vec::new(), timer })
+        let (light_changed, visible, time_us, layers) = (true, true, 0, Vec::new());
+        Ok(Self { layouts, pipelines, resources, models, stage, light, light_changed, visible, time_us, layers, timer })
     }
 
     /// Shows this scene from the next frame on. Geometry stays on the GPU while some object shows it. `model` gives
@@ -118,6 +128,12 @@ impl Renderer {
     /// Shows or hides all objects from the next frame on. Hidden ones stay on the GPU and cannot be picked.
     pub fn set_visible(&mut self, visible: bool) {
         self.visible = visible;
+    }
+
+    /// Shows animated models in their pose of this time from the next frame on: the pts of the environment's picture. They move
+    /// at the video's rate, as if the camera had filmed them, and every viewer sees the same pose with the same picture.
+    pub fn set_time(&mut self, pts_us: u64) {
+        self.time_us = pts_us;
     }
 
     /// Takes the light that belongs to the environment's picture.
@@ -154,9 +170,10 @@ impl Renderer {
             self.light.lights.iter().take(plan.shadows).map(|light| self.resources.frustum(light, &self.stage)).collect();
         self.resources.write_frame(gpu, &self.stage, &self.light, &frusta);
         let mut report = FrameReport { plan, ..FrameReport::default() };
-        self.draw_shadows(encoder, frusta.len(), &mut report);
+        self.pose(gpu, encoder, plan, views);
         let kind = Kind { video: environment.kind(), sh_count: self.light.sh_count };
         self.prepare(gpu, kind, plan);
+        self.draw_shadows(encoder, frusta.len(), &mut report);
         let ground = self.stage.changed_ground(&self.light, frusta.len());
         for (at, view) in views.iter().enumerate() {
             // From beneath there is no ground to see.
@@ -174,8 +191,23 @@ impl Renderer {
         report
     }
 
+    /// Brings animated models that this frame shows into their pose. A shadow may fall into a view that its object is outside of.
+    fn pose(&mut self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder, plan: Plan, views: &[View<'_>]) {
+        let Self { stage, models, timer, time_us, .. } = self;
+        if !plan.objects || stage.animated.is_empty() {
+            return;
+        }
+        let seen = |bounds: &Bounds| plan.shadows > 0 || views.iter().any(|view| in_view(&view.camera, view.size, bounds));
+        let shown: HashSet<(Geometry, usize)> =
+            stage.animated.iter().filter(|(.., bounds)| seen(bounds)).map(|(geometry, animation, _)| (*geometry, *animation)).collect();
+        models.deform(gpu, encoder, timer, *time_us, &|geometry, animation| shown.contains(&(*geometry, animation)));
+    }
+
     /// Makes what pipelines this frame needs and earlier ones did not.
     fn prepare(&mut self, gpu: &Gpu, kind: Kind, plan: Plan) {
+        if plan.shadows > 0 {
+            self.stage.draws.iter().for_each(|draw| self.pipelines.prepare_caster(gpu, &self.layouts, draw.look));
+        }
         let objects = self.stage.draws.iter().map(object_use);
         let others = [(Use::Composite, true), (Use::Ground, plan.objects), (Use::Horizon, plan.ground_hides)];
         for what in objects.chain(others.into_iter().filter_map(|(what, needed)| needed.then_some(what))) {
@@ -210,14 +242,18 @@ impl Renderer {
                 timestamp_writes: self.timer.pass(name),
                 ..wgpu::RenderPassDescriptor::default()
             });
-            pass.set_pipeline(&self.pipelines.caster);
             pass.set_bind_group(0, &self.resources.caster_instances, &[]);
             pass.set_bind_group(1, &self.resources.caster_views, &[at as u32 * VIEW_STRIDE]);
             for draw in &self.stage.draws {
                 if let Some(Ok(model)) = self.models.get(&draw.geometry)
                     && let Some(part) = model.parts.get(draw.part)
                 {
-                    draw_part(&mut pass, part, draw);
+                    let (pipeline, with_material) = self.pipelines.caster(draw.look);
+                    pass.set_pipeline(pipeline);
+                    if with_material {
+                        pass.set_bind_group(3, &part.material, &[]);
+                    }
+                    draw_part(&mut pass, model, part, draw);
                     report.draws += 1;
                 }
             }
@@ -255,14 +291,17 @@ impl Renderer {
         pass.set_bind_group(0, &self.resources.frame, &[at as u32 * VIEW_STRIDE]);
         pass.set_bind_group(1, environment.bind_group(), &[]);
         pass.set_bind_group(2, environment.reflection_bind_group(), &[]);
-        for draw in &self.stage.draws {
-            let Some(Ok(model)) = self.models.get(&draw.geometry) else { continue };
-            let Some(part) = model.parts.get(draw.part) else { continue };
-            let Some(pipeline) = self.pipelines.get(kind, object_use(draw)) else { continue };
+        let draw_object = |pass: &mut wgpu::RenderPass<'_>, draw: &stage::Draw| {
+            let Some(Ok(model)) = self.models.get(&draw.geometry) else { return 0 };
+            let Some(part) = model.parts.get(draw.part) else { return 0 };
+            let Some(pipeline) = self.pipelines.get(kind, object_use(draw)) else { return 0 };
             pass.set_pipeline(pipeline);
-            pass.set_bind_group(3, if draw.textured { &part.material } else { self.models.plain() }, &[]);
-            draw_part(&mut pass, part, draw);
-            report.draws += 1;
+            pass.set_bind_group(3, if draw.own_material { &part.material } else { self.models.plain() }, &[]);
+            draw_part(pass, model, part, draw);
+            1
+        };
+        for draw in self.stage.draws.iter().filter(|draw| draw.look.alpha != Alpha::Blend) {
+            report.draws += draw_object(&mut pass, draw);
         }
         report.triangles += self.stage.triangles;
         // After the objects, so that ground they cover is not shaded. From beneath there is no ground to see.
@@ -274,6 +313,10 @@ impl Renderer {
                 pass.draw(0..4, 0..1);
                 report.draws += 1;
             }
+        }
+        // Over all that covers, ground too, which writes what is changed and not what is added to it.
+        for draw in self.stage.blended(view.camera.position) {
+            report.draws += draw_object(&mut pass, draw);
         }
     }
 
@@ -315,11 +358,14 @@ fn depth_attachment(view: &wgpu::TextureView, clear: f32, store: wgpu::StoreOp) 
 }
 
 fn object_use(draw: &stage::Draw) -> Use {
-    Use::Object { surface: draw.surface, textured: draw.textured, double_sided: draw.double_sided }
+    Use::Object { surface: draw.surface, look: draw.look, double_sided: draw.double_sided }
 }
 
-fn draw_part(pass: &mut wgpu::RenderPass<'_>, part: &models::GpuPart, draw: &stage::Draw) {
-    pass.set_vertex_buffer(0, part.vertices.slice(..));
+fn draw_part(pass: &mut wgpu::RenderPass<'_>, model: &models::GpuModel, part: &models::GpuPart, draw: &stage::Draw) {
+    pass.set_vertex_buffer(0, model.vertices(draw.part, part, draw.animation).slice(..));
+    if let Some(details) = part.details.as_ref().filter(|_| draw.look.detailed) {
+        pass.set_vertex_buffer(1, details.slice(..));
+    }
     pass.set_index_buffer(part.indices.slice(..), wgpu::IndexFormat::Uint32);
     pass.draw_indexed(0..part.index_count, 0, draw.instances.clone());
 }

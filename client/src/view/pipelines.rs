@@ -2,8 +2,11 @@
 
 use std::collections::HashMap;
 
-use mr360_shaders::layout::Vertex;
-use mr360_shaders::source::{Module, Surface};
+use mr360_shaders::layout::{Detail, Vertex};
+pub(super) use mr360_shaders::source::SAMPLES;
+use mr360_shaders::source::{Alpha, Module, Surface};
+
+use super::material::{Look, layout_entries};
 
 use crate::environment::reflection::reflection_layout;
 use crate::environment::{VideoKind, sampler_entry, texture_entry, video_layout};
@@ -13,8 +16,6 @@ use crate::gpu::{Gpu, GpuError};
 pub(super) const LAYER_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
 /// Reversed: 1 near, 0 at infinity.
 pub(super) const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
-/// Samples a pixel of objects and ground.
-pub(super) const SAMPLES: u32 = 4;
 
 pub(super) struct Layouts {
     /// Group 0 of what is drawn in the layer.
@@ -31,7 +32,10 @@ pub(super) struct Layouts {
 
 /// The pipelines in use. Those that see the video are made for its kind and for the kind of surface, when first needed.
 pub(super) struct Pipelines {
-    pub(super) caster: wgpu::RenderPipeline,
+    caster: wgpu::RenderPipeline,
+    cutout: wgpu::ShaderModule,
+    /// Casters with holes, by what of their looks counts.
+    cutouts: HashMap<Look, wgpu::RenderPipeline>,
     object: wgpu::ShaderModule,
     ground: wgpu::ShaderModule,
     composite: wgpu::ShaderModule,
@@ -50,7 +54,7 @@ pub(super) struct Kind {
 /// What a pipeline draws.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) enum Use {
-    Object { surface: Surface, textured: bool, double_sided: bool },
+    Object { surface: Surface, look: Look, double_sided: bool },
     Ground,
     Horizon,
     Composite,
@@ -96,7 +100,7 @@ impl Layouts {
             casters: make("casters", &[instances]),
             caster: make("caster", &[buffer_entry(0, uniform, true)]),
             layer: make("layer", &[unfiltered]),
-            material: make("material", &[texture_entry(0), texture_entry(1), sampler_entry(2)]),
+            material: make("material", &layout_entries()),
         }
     }
 }
@@ -106,9 +110,13 @@ impl Layouts {
 struct Recipe<'a> {
     label: &'a str,
     vertex: &'a str,
-    fragment: Option<(&'a str, wgpu::TextureFormat)>,
+    /// Entry point, and what it colours, if anything.
+    fragment: Option<(&'a str, Option<wgpu::TextureFormat>)>,
     layouts: &'a [Option<&'a wgpu::BindGroupLayout>],
     mesh: bool,
+    /// The mesh has a second vertex buffer.
+    detailed: bool,
+    blend: bool,
     cull: Option<wgpu::Face>,
     depth: Option<wgpu::DepthStencilState>,
     samples: u32,
@@ -123,12 +131,19 @@ fn build(gpu: &Gpu, module: &wgpu::ShaderModule, recipe: &Recipe<'_>) -> wgpu::R
         immediate_size: 0,
     });
     let attributes = wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x3, 2 => Float32x2];
-    let mesh = [Some(wgpu::VertexBufferLayout {
-        array_stride: size_of::<Vertex>() as u64,
-        step_mode: wgpu::VertexStepMode::Vertex,
-        attributes: &attributes,
-    })];
-    let targets: Vec<_> = recipe.fragment.iter().map(|(_, format)| Some(wgpu::ColorTargetState::from(*format))).collect();
+    let details = wgpu::vertex_attr_array![3 => Float32x4, 4 => Float32x2, 5 => Unorm16x4];
+    let buffer = |size: usize, attributes| {
+        Some(wgpu::VertexBufferLayout { array_stride: size as u64, step_mode: wgpu::VertexStepMode::Vertex, attributes })
+    };
+    let mesh = [buffer(size_of::<Vertex>(), &attributes), buffer(size_of::<Detail>(), &details)];
+    let buffers = match (recipe.mesh, recipe.detailed) {
+        (false, _) => &mesh[..0],
+        (true, false) => &mesh[..1],
+        (true, true) => &mesh[..],
+    };
+    let blend = recipe.blend.then_some(wgpu::BlendState::PREMULTIPLIED_ALPHA_BLENDING);
+    let target = |format: Option<wgpu::TextureFormat>| Some(wgpu::ColorTargetState { blend, ..format?.into() });
+    let targets: Vec<_> = recipe.fragment.iter().filter(|(_, format)| format.is_some()).map(|(_, format)| target(*format)).collect();
     let strip = !recipe.mesh && recipe.vertex != "vs_fullscreen";
     let topology = if strip { wgpu::PrimitiveTopology::TriangleStrip } else { wgpu::PrimitiveTopology::TriangleList };
     gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
@@ -138,7 +153,7 @@ fn build(gpu: &Gpu, module: &wgpu::ShaderModule, recipe: &Recipe<'_>) -> wgpu::R
             module,
             entry_point: Some(recipe.vertex),
             compilation_options: wgpu::PipelineCompilationOptions::default(),
-            buffers: if recipe.mesh { &mesh } else { &[] },
+            buffers,
         },
         primitive: wgpu::PrimitiveState { topology, cull_mode: recipe.cull, ..wgpu::PrimitiveState::default() },
         depth_stencil: recipe.depth.clone(),
@@ -164,6 +179,19 @@ fn depth(compare: wgpu::CompareFunction, bias: wgpu::DepthBiasState) -> wgpu::De
     }
 }
 
+fn caster_depth() -> wgpu::DepthStencilState {
+    depth(wgpu::CompareFunction::Less, wgpu::DepthBiasState { constant: 1, slope_scale: 1.0, clamp: 0.0 })
+}
+
+fn object_entry(look: Look) -> &'static str {
+    match (look.alpha, look.detailed) {
+        (Alpha::Mask, false) => "fs_object_masked",
+        (Alpha::Mask, true) => "fs_object_detailed_masked",
+        (_, false) => "fs_object",
+        (_, true) => "fs_object_detailed",
+    }
+}
+
 impl Pipelines {
     pub(super) fn new(gpu: &Gpu, layouts: &Layouts, target: wgpu::TextureFormat) -> Result<Self, GpuError> {
         let casters = Recipe {
@@ -172,13 +200,17 @@ impl Pipelines {
             fragment: None,
             layouts: &[Some(&layouts.casters), Some(&layouts.caster)],
             mesh: true,
+            detailed: false,
+            blend: false,
             cull: None,
-            depth: Some(depth(wgpu::CompareFunction::Less, wgpu::DepthBiasState { constant: 1, slope_scale: 1.0, clamp: 0.0 })),
+            depth: Some(caster_depth()),
             samples: 1,
             constants: &[],
         };
         Ok(Self {
             caster: build(gpu, &gpu.shader(Module::Caster)?, &casters),
+            cutout: gpu.shader(Module::Cutout)?,
+            cutouts: HashMap::new(),
             object: gpu.shader(Module::Object)?,
             ground: gpu.shader(Module::Ground)?,
             composite: gpu.shader(Module::Composite)?,
@@ -191,6 +223,36 @@ impl Pipelines {
     pub(super) fn prepare(&mut self, gpu: &Gpu, layouts: &Layouts, kind: Kind, what: Use) {
         if !self.made.contains_key(&(kind, what)) {
             self.made.insert((kind, what), self.make(gpu, layouts, kind, what));
+        }
+    }
+
+    /// Makes the pipeline of a caster unless it is there.
+    pub(super) fn prepare_caster(&mut self, gpu: &Gpu, layouts: &Layouts, look: Look) {
+        let look = look.cutout();
+        if look.alpha == Alpha::Opaque || self.cutouts.contains_key(&look) {
+            return;
+        }
+        let recipe = Recipe {
+            label: "caster with holes",
+            vertex: if look.detailed { "vs_cutout_detailed" } else { "vs_cutout" },
+            fragment: Some(("fs_cutout", None)),
+            layouts: &[Some(&layouts.casters), Some(&layouts.caster), None, Some(&layouts.material)],
+            mesh: true,
+            detailed: look.detailed,
+            blend: false,
+            cull: None,
+            depth: Some(caster_depth()),
+            samples: 1,
+            constants: &look.cutout_constants(),
+        };
+        self.cutouts.insert(look, build(gpu, &self.cutout, &recipe));
+    }
+
+    /// The pipeline of a caster that was prepared, and whether it looks at the material.
+    pub(super) fn caster(&self, look: Look) -> (&wgpu::RenderPipeline, bool) {
+        match self.cutouts.get(&look.cutout()) {
+            Some(cutout) if look.alpha != Alpha::Opaque => (cutout, true),
+            _ => (&self.caster, false),
         }
     }
 
@@ -209,26 +271,34 @@ impl Pipelines {
         let ground = Recipe {
             label: "ground",
             vertex: "vs_ground",
-            fragment: Some(("fs_ground", LAYER_FORMAT)),
+            fragment: Some(("fs_ground", Some(LAYER_FORMAT))),
             layouts: &[Some(&layouts.frame), Some(&video)],
             mesh: false,
+            detailed: false,
+            blend: false,
             cull: Some(wgpu::Face::Back),
             depth: Some(depth(wgpu::CompareFunction::Greater, behind)),
             samples: SAMPLES,
             constants: &[],
         };
         match what {
-            Use::Object { surface, textured, double_sided } => {
-                constants.extend([("SURFACE", f64::from(surface.index())), ("TEXTURED", flag(textured))]);
+            Use::Object { surface, look, double_sided } => {
+                constants.push(("SURFACE", f64::from(surface.index())));
+                constants.extend(look.constants());
                 let reflection = reflection_layout(&gpu.device);
                 let recipe = Recipe {
                     label: "object",
-                    vertex: "vs_object",
-                    fragment: Some(("fs_object", LAYER_FORMAT)),
+                    vertex: if look.detailed { "vs_object_detailed" } else { "vs_object" },
+                    fragment: Some((object_entry(look), Some(LAYER_FORMAT))),
                     layouts: &[Some(&layouts.frame), Some(&video), Some(&reflection), Some(&layouts.material)],
                     mesh: true,
+                    detailed: look.detailed,
+                    blend: look.alpha == Alpha::Blend,
                     cull: (!double_sided).then_some(wgpu::Face::Back),
-                    depth: Some(depth(wgpu::CompareFunction::Greater, wgpu::DepthBiasState::default())),
+                    depth: Some(wgpu::DepthStencilState {
+                        depth_write_enabled: Some(look.alpha != Alpha::Blend),
+                        ..depth(wgpu::CompareFunction::Greater, wgpu::DepthBiasState::default())
+                    }),
                     constants: &constants,
                     ..ground
                 };
@@ -236,7 +306,7 @@ impl Pipelines {
             }
             Use::Ground => build(gpu, &self.ground, &Recipe { constants: &constants, ..ground }),
             Use::Horizon => {
-                let fragment = Some(("fs_horizon", LAYER_FORMAT));
+                let fragment = Some(("fs_horizon", Some(LAYER_FORMAT)));
                 build(gpu, &self.ground, &Recipe { label: "horizon", vertex: "vs_horizon", fragment, ..ground })
             }
             Use::Composite => {
@@ -245,7 +315,7 @@ impl Pipelines {
                 let recipe = Recipe {
                     label: "composite",
                     vertex: "vs_fullscreen",
-                    fragment: Some(("fs_composite", self.target)),
+                    fragment: Some(("fs_composite", Some(self.target))),
                     layouts: &[Some(&layouts.frame), Some(&video), Some(&layouts.layer)],
                     cull: None,
                     depth: None,

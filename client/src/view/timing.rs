@@ -95,6 +95,14 @@ impl PassTimer {
         self.writes(Some(at), Some(at + 1))
     }
 
+    /// Both timestamps of a compute pass.
+    pub fn compute(&mut self, name: &'static str) -> Option<wgpu::ComputePassTimestampWrites<'_>> {
+        let at = self.start(name)?;
+        let (query_set, _) = self.queries.as_ref()?;
+        let (beginning_of_pass_write_index, end_of_pass_write_index) = (Some(at), Some(at + 1));
+        Some(wgpu::ComputePassTimestampWrites { query_set, beginning_of_pass_write_index, end_of_pass_write_index })
+    }
+
     /// First timestamp of a run of passes that are timed as one.
     pub fn begin(&mut self, name: &'static str) -> Option<wgpu::RenderPassTimestampWrites<'_>> {
         let at = self.start(name)?;
