@@ -352,6 +352,14 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_time_is_seconds_of_a_day() {
+        assert_eq!(parse_time("1.5"), Ok(1.5));
+        for refused in ["-1", "86401", "nan", "inf", "1s"] {
+            assert!(parse_time(refused).is_err(), "{refused}");
+        }
+    }
+
+    #[test]
     fn a_picture_beyond_one_buffer_is_drawn_whole() {
         let gpu = Gpu::headless().unwrap();
         let half = [0.25, 0.5, 0.75, 1.0].map(f16::from_f32);

@@ -1,6 +1,7 @@
 //! Keyframes of a model (glTF 2.0, Sec. 3.11 and Appendix C), sampled at a time.
 
 use std::borrow::Cow;
+use std::collections::HashSet;
 
 use glam::{Quat, Vec3};
 use gltf::animation::Property;
@@ -26,7 +27,7 @@ pub enum Interpolation {
 }
 
 /// What a track moves.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Path {
     /// Metres.
     Translation,
@@ -134,7 +135,7 @@ pub(super) fn read(document: &gltf::Document, buffers: &[Cow<'_, [u8]>], hierarc
     document
         .animations()
         .map(|animation| {
-            let mut tracks: Vec<Track> = Vec::new();
+            let (mut tracks, mut moved): (Vec<Track>, HashSet<(usize, Path)>) = (Vec::new(), HashSet::new());
             for channel in animation.channels() {
                 let fault = |fault: String| ModelError::Animation {
                     index: animation.index(),
@@ -142,7 +143,7 @@ pub(super) fn read(document: &gltf::Document, buffers: &[Cow<'_, [u8]>], hierarc
                 };
                 let Some(node) = hierarchy.place.get(channel.target().node().index()).copied().flatten() else { continue };
                 let track = track(&channel, node, buffers, hierarchy, &fault)?;
-                if tracks.iter().any(|other| (other.node, other.path) == (track.node, track.path)) {
+                if !moved.insert((track.node, track.path)) {
                     return Err(fault(format!("moves the {:?} of a node that another channel moves", track.path)));
                 }
                 numbers += track.times.len() + track.values.len();

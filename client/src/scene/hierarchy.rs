@@ -3,7 +3,8 @@
 use glam::{Mat4, Quat, Vec3};
 
 use super::animation::quaternion;
-use super::model::ModelError;
+use super::model::{MAX_PARTS, ModelError};
+use super::primitive::MAX_TARGETS;
 
 /// Deepest chain of nodes.
 pub const MAX_NODE_DEPTH: usize = 64;
@@ -86,8 +87,10 @@ fn read(node: &gltf::Node<'_>) -> Result<Node, String> {
             (translation, rotation, scale)
         }
     };
-    let targets = node.mesh().and_then(|mesh| mesh.primitives().map(|primitive| primitive.morph_targets().len()).max()).unwrap_or(0);
-    let mut weights = node.weights().or_else(|| node.mesh().and_then(|mesh| mesh.weights())).unwrap_or_default().to_vec();
+    let primitives = node.mesh().into_iter().flat_map(|mesh| mesh.primitives()).take(MAX_PARTS);
+    let targets = primitives.map(|primitive| primitive.morph_targets().len()).max().unwrap_or(0).min(MAX_TARGETS);
+    let weights = node.weights().or_else(|| node.mesh().and_then(|mesh| mesh.weights())).unwrap_or_default();
+    let mut weights: Vec<f32> = weights.iter().copied().take(targets).collect();
     weights.resize(targets, 0.0);
     if !matrix.is_finite() || !weights.iter().all(|weight| weight.is_finite()) {
         return Err("its transform or its weights are not finite".to_owned());

@@ -15,7 +15,7 @@ use super::container::Container;
 use super::hierarchy::Hierarchy;
 use super::material::{Materials, Surface};
 use super::mesh::{Bounds, Mesh};
-use super::primitive::{Primitive, Reader, Wanted};
+use super::primitive::{MAX_DELTAS, Primitive, Reader, Wanted};
 use super::rig::{Binding, MAX_MATRICES, Moving, Rig, deform};
 use super::texture::Texture;
 
@@ -165,7 +165,8 @@ impl Model {
         let world = rig.hierarchy.world(|_, node| node.matrix);
         let moved = rig.moved_nodes();
         let materials = Materials::new(document, &buffers, &container.extras);
-        let mut importer = Importer { materials, buffers: &buffers, rig, world, moved, parts: Vec::new(), vertices: 0, weights: 0 };
+        let mut importer =
+            Importer { materials, buffers: &buffers, rig, world, moved, parts: Vec::new(), vertices: 0, weights: 0, deltas: 0 };
         for node in document.nodes() {
             if let Some(place) = importer.rig.hierarchy.place.get(node.index()).copied().flatten() {
                 importer.node(&node, place)?;
@@ -186,6 +187,8 @@ struct Importer<'a> {
     parts: Vec<Part>,
     vertices: usize,
     weights: usize,
+    /// Kept for the rig.
+    deltas: usize,
 }
 
 impl Importer<'_> {
@@ -210,7 +213,8 @@ impl Importer<'_> {
             let second_uv = surface.textures().iter().flatten().any(|map| map.second_uv);
             // Frames of moving meshes follow from their pose, see material.wgsl.
             let tangents = surface.normal_texture.is_some() && !moves && !skinned;
-            let read = Reader::new(mesh.index(), &primitive, self.buffers).read(Wanted { joints, second_uv, tangents }, mirrored)?;
+            let wanted = Wanted { joints, second_uv, tangents, deltas: MAX_DELTAS.saturating_sub(self.deltas) };
+            let read = Reader::new(mesh.index(), &primitive, self.buffers).read(wanted, mirrored)?;
             let vertices = deform(&read, &matrices, &weights);
             if vertices.iter().any(|vertex| !vertex.position.iter().all(|v| v.is_finite())) {
                 return Err(fault("its node, its skin or its morph targets move vertices to where no number reaches".to_owned()));
@@ -225,6 +229,7 @@ impl Importer<'_> {
             let details = placed(&read, self.world[place]);
             self.parts.push(Part { mesh: Mesh { vertices, indices: read.mesh.indices.clone() }, details, surface });
             if moves {
+                self.deltas += read.deltas.len();
                 self.rig.moving.push(Moving { part: self.parts.len() - 1, primitive: read, binding: at });
             }
         }
@@ -245,7 +250,11 @@ impl Importer<'_> {
     }
 
     fn joints(&self, skin: &gltf::Skin<'_>) -> Result<Vec<(usize, Mat4)>, ModelError> {
-        let inverse_bind = skin.inverse_bind_matrices().map(|a| floats::<16>(&a, self.buffers, "inverse bind matrices")).transpose()?;
+        let inverse_bind = skin.inverse_bind_matrices();
+        if inverse_bind.as_ref().is_some_and(|matrices| matrices.count() > MAX_MATRICES) {
+            return Err(ModelError::TooLarge { what: "inverse bind matrices", limit: MAX_MATRICES });
+        }
+        let inverse_bind = inverse_bind.map(|a| floats::<16>(&a, self.buffers, "inverse bind matrices")).transpose()?;
         skin.joints()
             .enumerate()
             .map(|(at, joint)| {

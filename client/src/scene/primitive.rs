@@ -12,7 +12,7 @@ use super::model::{MAX_VERTICES, ModelError};
 
 /// Most morph targets of a primitive.
 pub const MAX_TARGETS: usize = 256;
-/// Most vertices times morph targets of a primitive.
+/// Most vertices times morph targets of a model.
 pub const MAX_DELTAS: usize = 4_000_000;
 
 /// Triangles with everything that can move or colour them.
@@ -37,6 +37,8 @@ pub(super) struct Wanted {
     pub(super) joints: Option<usize>,
     pub(super) second_uv: bool,
     pub(super) tangents: bool,
+    /// Room that is left of [`MAX_DELTAS`].
+    pub(super) deltas: usize,
 }
 
 pub(super) struct Reader<'a> {
@@ -83,10 +85,10 @@ impl<'a> Reader<'a> {
             // Without normals the file's tangents do not count (glTF 2.0, Sec. 3.7.2.1).
             details: self.details(Wanted { tangents: wanted.tangents && normals.is_some(), ..wanted })?,
             influences: wanted.joints.map_or(Ok(Vec::new()), |joints| self.influences(joints))?,
-            deltas: self.deltas(normals.is_some())?,
+            deltas: self.deltas(normals.is_some(), wanted.deltas)?,
             flat: false,
         };
-        if normals.is_some() { Ok(out) } else { self.flattened(&out) }
+        if normals.is_some() { Ok(out) } else { self.flattened(&out, wanted.deltas) }
     }
 
     fn attribute<const N: usize>(&self, semantic: Semantic, used_as: &'static str) -> Result<Option<Vec<[f32; N]>>, ModelError> {
@@ -173,11 +175,11 @@ impl<'a> Reader<'a> {
             .collect()
     }
 
-    fn deltas(&self, with_normals: bool) -> Result<Vec<Delta>, ModelError> {
+    fn deltas(&self, with_normals: bool, room: usize) -> Result<Vec<Delta>, ModelError> {
         let targets = self.primitive.morph_targets().len();
-        if targets > MAX_TARGETS || targets.saturating_mul(self.count) > MAX_DELTAS {
+        if targets > MAX_TARGETS || targets.saturating_mul(self.count) > room {
             return Err(self.fault(format!(
-                "{targets} morph targets of {} vertices; at most {MAX_TARGETS}, and {MAX_DELTAS} moved vertices",
+                "{targets} morph targets of {} vertices; at most {MAX_TARGETS}, and {MAX_DELTAS} moved vertices in the model",
                 self.count
             )));
         }
@@ -199,10 +201,10 @@ impl<'a> Reader<'a> {
 
     /// The same triangles with corners of their own, as glTF asks for where a primitive has no normals. The normals
     /// are those of the planes and follow from the pose.
-    fn flattened(&self, shared: &Primitive) -> Result<Primitive, ModelError> {
+    fn flattened(&self, shared: &Primitive, room: usize) -> Result<Primitive, ModelError> {
         let corners = &shared.mesh.indices;
         let targets = shared.deltas.len().checked_div(self.count).unwrap_or(0);
-        if targets.saturating_mul(corners.len()) > MAX_DELTAS {
+        if targets.saturating_mul(corners.len()) > room {
             return Err(self.fault(format!("its flat triangles have more than {MAX_DELTAS} moved vertices; export normals")));
         }
         let target = |target: usize| corners.iter().map(move |i| shared.deltas[target * self.count + *i as usize]);

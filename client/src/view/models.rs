@@ -8,7 +8,7 @@ use mr360_protocol::asset::AssetId;
 use mr360_protocol::scene::{Geometry, Object, Playback, Scene, Shape};
 
 use super::material::{Look, Materials, upload};
-use super::poses::{Deformer, Playing};
+use super::poses::{Deformer, MAX_POSED_VERTICES, Playing, Sources};
 use super::stage::ModelFault;
 use super::timing::PassTimer;
 use crate::gpu::{Gpu, GpuError};
@@ -41,6 +41,8 @@ pub(super) struct GpuModel {
     /// Mean reflectance of the file's surfaces.
     pub(super) albedo: Vec3,
     source: Option<Arc<Model>>,
+    /// Made for the first animation that is played.
+    sources: Option<Sources>,
     /// The animations that objects play just now.
     playing: HashMap<usize, Playing>,
 }
@@ -72,6 +74,15 @@ impl GpuModel {
                 }
             },
         }
+    }
+
+    /// False for an animation that would take more memory than there is for all.
+    pub(super) fn plays(&self, animation: usize) -> bool {
+        self.playing.contains_key(&animation) || self.rig().is_none_or(|rig| rig.moving.is_empty())
+    }
+
+    fn posed_vertices(&self) -> usize {
+        self.sources.as_ref().map_or(0, Sources::vertices)
     }
 
     /// Vertices of a part, deformed where an animation moves it.
@@ -116,15 +127,24 @@ impl Models {
     }
 
     fn follow_animations(&mut self, gpu: &Gpu, objects: &[Object]) {
+        let animation_of = |model: &GpuModel, object: &Object| model.animation(&object.animation).ok().flatten();
         for (geometry, model) in &mut self.loaded {
             let Ok(model) = model else { continue };
-            let Some(source) = model.source.clone() else { continue };
-            let Some(rig) = source.rig.as_ref().filter(|rig| !rig.moving.is_empty()) else { continue };
             let own = objects.iter().filter(|object| object.geometry == *geometry);
-            let wanted: Vec<usize> = own.filter_map(|object| model.animation(&object.animation).ok().flatten()).collect();
+            let wanted: Vec<usize> = own.filter_map(|object| animation_of(model, object)).collect();
             model.playing.retain(|animation, _| wanted.contains(animation));
-            for animation in wanted {
-                model.playing.entry(animation).or_insert_with(|| Playing::new(gpu, &self.deformer, &source, rig, animation));
+        }
+        let models = self.loaded.values().filter_map(|model| model.as_ref().ok());
+        let mut posed: usize = models.map(|model| model.posed_vertices() * model.playing.len()).sum();
+        for object in objects {
+            let Some(Ok(model)) = self.loaded.get_mut(&object.geometry) else { continue };
+            let Some(animation) = animation_of(model, object).filter(|animation| !model.plays(*animation)) else { continue };
+            let Some(source) = model.source.clone() else { continue };
+            let Some(rig) = &source.rig else { continue };
+            let sources = model.sources.get_or_insert_with(|| Sources::new(gpu, rig));
+            if posed + sources.vertices() <= MAX_POSED_VERTICES {
+                posed += sources.vertices();
+                model.playing.insert(animation, Playing::new(gpu, &self.deformer, sources, &source, rig, animation));
             }
         }
     }
@@ -161,7 +181,7 @@ impl Models {
         let (bounds, albedo) = (mesh.bounds(), surface.base_color);
         let one = Part { mesh, details: Vec::new(), surface };
         let parts = vec![part(gpu, &one, self.plain.clone())];
-        GpuModel { parts, bounds, round: shape == Shape::Sphere, albedo, source: None, playing: HashMap::new() }
+        GpuModel { parts, bounds, round: shape == Shape::Sphere, albedo, source: None, sources: None, playing: HashMap::new() }
     }
 
     fn model(&mut self, gpu: &Gpu, model: Arc<Model>) -> GpuModel {
@@ -179,7 +199,7 @@ impl Models {
         }
         let bounds = *bounds;
         let source = model.rig.is_some().then_some(model);
-        GpuModel { parts: gpu_parts, bounds, round: false, albedo, source, playing: HashMap::new() }
+        GpuModel { parts: gpu_parts, bounds, round: false, albedo, source, sources: None, playing: HashMap::new() }
     }
 }
 

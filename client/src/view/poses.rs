@@ -12,6 +12,8 @@ use crate::gpu::{Gpu, GpuError};
 use crate::scene::model::Model;
 use crate::scene::rig::{Moving, Rig, deformation};
 
+/// Most vertices of all animations that are played at once: a model's may be played side by side.
+pub(super) const MAX_POSED_VERTICES: usize = 8_000_000;
 /// Threads of a workgroup of `deform.wgsl`.
 const WORKGROUP: u32 = 64;
 
@@ -79,6 +81,16 @@ impl Deformer {
     }
 }
 
+/// What a model's animations deform, as the file has it; all of them read the same.
+pub(super) struct Sources(Vec<Source>);
+
+struct Source {
+    part: usize,
+    vertex_count: u32,
+    /// Uniform, vertices, influences, morph targets.
+    buffers: [wgpu::Buffer; 4],
+}
+
 /// One animation of one model.
 pub(super) struct Playing {
     model: Arc<Model>,
@@ -98,7 +110,7 @@ struct DeformedPart {
 }
 
 impl Playing {
-    pub(super) fn new(gpu: &Gpu, deformer: &Deformer, model: &Arc<Model>, rig: &Rig, animation: usize) -> Self {
+    pub(super) fn new(gpu: &Gpu, deformer: &Deformer, sources: &Sources, model: &Arc<Model>, rig: &Rig, animation: usize) -> Self {
         let pose = rig.pose(animation, 0.0);
         // A binding may not be empty.
         let buffer = |label, size: usize| {
@@ -120,7 +132,7 @@ impl Playing {
                 wgpu::BindGroupEntry { binding: 1, resource: weights.as_entire_binding() },
             ],
         });
-        let parts = rig.moving.iter().map(|moving| DeformedPart::new(gpu, deformer, rig, moving)).collect();
+        let parts = sources.0.iter().map(|source| DeformedPart::new(gpu, deformer, source)).collect();
         Self { model: Arc::clone(model), animation, matrices, weights, pose: group, parts, posed_at_us: None }
     }
 
@@ -138,8 +150,19 @@ impl Playing {
     }
 }
 
-impl DeformedPart {
-    fn new(gpu: &Gpu, deformer: &Deformer, rig: &Rig, moving: &Moving) -> Self {
+impl Sources {
+    pub(super) fn new(gpu: &Gpu, rig: &Rig) -> Self {
+        Self(rig.moving.iter().map(|moving| Source::new(gpu, rig, moving)).collect())
+    }
+
+    /// Vertices that each animation deforms.
+    pub(super) fn vertices(&self) -> usize {
+        self.0.iter().map(|source| source.vertex_count as usize).sum()
+    }
+}
+
+impl Source {
+    fn new(gpu: &Gpu, rig: &Rig, moving: &Moving) -> Self {
         let primitive = &moving.primitive;
         let mesh = &primitive.mesh.vertices;
         let storage = wgpu::BufferUsages::STORAGE;
@@ -147,29 +170,36 @@ impl DeformedPart {
         let influences: &[u8] = bytemuck::cast_slice(&primitive.influences);
         let deltas: &[u8] = bytemuck::cast_slice(&primitive.deltas);
         let or_one = |bytes: &[u8], size: usize| if bytes.is_empty() { vec![0; size] } else { bytes.to_vec() };
+        let binding = rig.bindings.get(moving.binding);
+        let deformation = binding.map(|binding| deformation(primitive, binding));
         let buffers = [
+            filled(gpu, "deformation", bytemuck::cast_slice(deformation.as_slice()), wgpu::BufferUsages::UNIFORM),
             filled(gpu, "source vertices", bytemuck::cast_slice(mesh), storage),
             filled(gpu, "influences", &or_one(influences, size_of::<Influence>()), storage),
             filled(gpu, "morph targets", &or_one(deltas, size_of::<Delta>()), storage),
         ];
+        Self { part: moving.part, vertex_count: mesh.len() as u32, buffers }
+    }
+}
+
+impl DeformedPart {
+    fn new(gpu: &Gpu, deformer: &Deformer, source: &Source) -> Self {
         let vertices = gpu.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("deformed vertices"),
-            size: (mesh.len() * size_of::<Vertex>()) as u64,
-            usage: storage | wgpu::BufferUsages::VERTEX | wgpu::BufferUsages::COPY_SRC,
+            size: u64::from(source.vertex_count) * size_of::<Vertex>() as u64,
+            usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::VERTEX | wgpu::BufferUsages::COPY_SRC,
             mapped_at_creation: false,
         });
-        let binding = rig.bindings.get(moving.binding);
-        let deformation = binding.map(|binding| deformation(primitive, binding));
-        let uniform = filled(gpu, "deformation", bytemuck::cast_slice(deformation.as_slice()), wgpu::BufferUsages::UNIFORM);
-        let all = std::iter::once(&uniform).chain(&buffers).chain(std::iter::once(&vertices));
-        let entries: Vec<_> =
-            (0..).zip(all).map(|(binding, buffer)| wgpu::BindGroupEntry { binding, resource: buffer.as_entire_binding() }).collect();
+        let entries: Vec<_> = (0..)
+            .zip(source.buffers.iter().chain([&vertices]))
+            .map(|(binding, buffer)| wgpu::BindGroupEntry { binding, resource: buffer.as_entire_binding() })
+            .collect();
         let group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("deformed part"),
             layout: &deformer.part,
             entries: &entries,
         });
-        Self { part: moving.part, vertex_count: mesh.len() as u32, vertices, group }
+        Self { part: source.part, vertex_count: source.vertex_count, vertices, group }
     }
 }
 
@@ -205,7 +235,8 @@ mod tests {
         for (file, animation) in [(arm(true), 0), (arm(true), 1), (twice(arm(false)), 0), (slider(), 0)] {
             let model = Arc::new(Model::parse(&file.glb()).unwrap());
             let rig = model.rig.as_ref().unwrap();
-            let mut playing = Playing::new(&gpu, &deformer, &model, rig, animation);
+            let sources = Sources::new(&gpu, rig);
+            let mut playing = Playing::new(&gpu, &deformer, &sources, &model, rig, animation);
             for time_us in [0, 333_000, 910_000, 12_250_000] {
                 let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
                 deformer.record(&gpu, &mut encoder, &mut timer, time_us, std::iter::once(&mut playing));

@@ -11,6 +11,7 @@ use mr360_shaders::source::{Alpha, OCCLUDER_REACH, Surface};
 use super::material::Look;
 use super::models::{GpuModel, GpuPart, Models};
 use super::plan::{SceneNeeds, reflects};
+use super::poses::MAX_POSED_VERTICES;
 use super::shadows::ground_shadow;
 use crate::environment::FrameLight;
 use crate::environment::light::tan_radius;
@@ -51,6 +52,9 @@ pub enum ModelFault {
         /// What the file has.
         names: Vec<String>,
     },
+    /// The animations of the scene take too much memory.
+    #[error("the scene's animations move more than {MAX_POSED_VERTICES} vertices; use simpler models or fewer animations")]
+    TooManyPoses,
     /// The scene is full.
     #[error("the scene draws more than {MAX_INSTANCES} parts; use simpler models or fewer objects")]
     TooManyParts,
@@ -117,6 +121,7 @@ impl Stage {
         for object in &scene.objects {
             let fault = match models.get(&object.geometry) {
                 Some(Ok(model)) if parts + model.parts.len() <= MAX_INSTANCES => match model.animation(&object.animation) {
+                    Ok(Some(animation)) if !model.plays(animation) => ModelFault::TooManyPoses,
                     Ok(animation) => {
                         parts += model.parts.len();
                         placed.push(Placed::new(object, model, animation));
