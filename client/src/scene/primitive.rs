@@ -68,8 +68,8 @@ impl<'a> Reader<'a> {
         if self.count > MAX_VERTICES {
             return Err(ModelError::TooLarge { what: "vertices", limit: MAX_VERTICES });
         }
-        let normals = self.attribute::<3>(Semantic::Normals, "normals")?;
-        let uvs = self.attribute::<2>(Semantic::TexCoords(0), "texture coordinates")?;
+        let normals = self.attribute::<3>(&Semantic::Normals, "normals")?;
+        let uvs = self.attribute::<2>(&Semantic::TexCoords(0), "texture coordinates")?;
         let vertex = |i: usize| Vertex {
             position: positions[i],
             normal: normals.as_ref().map_or([0.0, 1.0, 0.0], |n| Vec3::from_array(n[i]).normalize_or(Vec3::Y).to_array()),
@@ -91,8 +91,8 @@ impl<'a> Reader<'a> {
         if normals.is_some() { Ok(out) } else { self.flattened(&out, wanted.deltas) }
     }
 
-    fn attribute<const N: usize>(&self, semantic: Semantic, used_as: &'static str) -> Result<Option<Vec<[f32; N]>>, ModelError> {
-        let Some(accessor) = self.primitive.get(&semantic) else { return Ok(None) };
+    fn attribute<const N: usize>(&self, semantic: &Semantic, used_as: &'static str) -> Result<Option<Vec<[f32; N]>>, ModelError> {
+        let Some(accessor) = self.primitive.get(semantic) else { return Ok(None) };
         let values = floats::<N>(&accessor, self.buffers, used_as)?;
         self.same_count(values.len())?;
         Ok(Some(values))
@@ -122,14 +122,14 @@ impl<'a> Reader<'a> {
     fn details(&self, wanted: Wanted) -> Result<Vec<Detail>, ModelError> {
         let colors = match self.primitive.get(&Semantic::Colors(0)).map(|accessor| accessor.dimensions()) {
             Some(gltf::accessor::Dimensions::Vec3) => self
-                .attribute::<3>(Semantic::Colors(0), "colours")?
+                .attribute::<3>(&Semantic::Colors(0), "colours")?
                 .map(|colors| colors.into_iter().map(|rgb| Vec3::from_array(rgb).extend(1.0)).collect::<Vec<_>>()),
             _ => self
-                .attribute::<4>(Semantic::Colors(0), "colours")?
+                .attribute::<4>(&Semantic::Colors(0), "colours")?
                 .map(|colors| colors.into_iter().map(Vec4::from_array).collect::<Vec<_>>()),
         };
-        let second = if wanted.second_uv { self.attribute::<2>(Semantic::TexCoords(1), "texture coordinates")? } else { None };
-        let tangents = if wanted.tangents { self.attribute::<4>(Semantic::Tangents, "tangents")? } else { None };
+        let second = if wanted.second_uv { self.attribute::<2>(&Semantic::TexCoords(1), "texture coordinates")? } else { None };
+        let tangents = if wanted.tangents { self.attribute::<4>(&Semantic::Tangents, "tangents")? } else { None };
         if colors.is_none() && second.is_none() && tangents.is_none() {
             return Ok(Vec::new());
         }
