@@ -53,7 +53,7 @@ impl Renderer {
             if let Some(Ok(model)) = self.models.get(&draw.geometry)
                 && let Some(part) = model.parts.get(draw.part)
             {
-                draw_part(&mut pass, part, draw);
+                draw_part(&mut pass, model, part, draw);
                 report.draws += 1;
             }
         }
@@ -95,10 +95,10 @@ impl Renderer {
         for draw in self.stage.draws.iter().filter(|draw| is_glass(draw)) {
             let Some(Ok(model)) = self.models.get(&draw.geometry) else { continue };
             let Some(part) = model.parts.get(draw.part) else { continue };
-            let Some(pipeline) = self.pipelines.get(kind, Use::Glass { textured: draw.textured }) else { continue };
+            let Some(pipeline) = self.pipelines.get(kind, Use::Glass { look: draw.look }) else { continue };
             pass.set_pipeline(pipeline);
-            pass.set_bind_group(3, if draw.textured { &part.material } else { self.models.plain() }, &[]);
-            draw_part(&mut pass, part, draw);
+            pass.set_bind_group(3, if draw.own_material { &part.material } else { self.models.plain() }, &[]);
+            draw_part(&mut pass, model, part, draw);
             report.draws += 1;
         }
     }
