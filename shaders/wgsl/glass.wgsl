@@ -138,7 +138,13 @@ fn beyond(way: Passage, spread: f32) -> Beyond {
     var met_m = meets_drawn(way.exit, way.direction, ground_m * 1.01);
     if met_m < 0.0 {
         let towards = normalize(way.exit + way.direction * ground_m - view.position);
-        return Beyond(vec4(0.0), select(way.direction, towards, lands));
+        // What is blended has no depth: it is seen as far away as the panorama is.
+        let place = layer_place(way.exit + way.direction * min(ground_m, BEYOND_LAST_M));
+        var blended = vec4(0.0);
+        if place.inside && textureLoad(drawn_depth, place.texel, 0) == 0.0 {
+            blended = textureLoad(drawn, place.texel, 0);
+        }
+        return Beyond(blended, select(way.direction, towards, lands));
     }
     let sides = lobe_sides(way.direction);
     let taps = select(ROUGH_TAPS, 1u, spread == 0.0);

@@ -301,6 +301,71 @@ fn blended_surfaces_mix_from_back_to_front() {
     assert_eq!(at(&hidden, 0.5, 0.5), Vec3::ONE);
 }
 
+/// A pane that faces the camera, and the far side of the glass a decimetre behind it.
+fn slab(pane: &File) -> Stand {
+    let far = white([0.0, 0.0, 1.0], &glass());
+    ahead(pane).with(&far, AHEAD - Vec3::Z * 0.1, Quat::from_rotation_y(PI))
+}
+
+fn glass() -> Value {
+    json!({
+        "pbrMetallicRoughness": { "metallicFactor": 0.0, "roughnessFactor": 0.0 },
+        "extensions": { "KHR_materials_transmission": { "transmissionFactor": 1.0 } }
+    })
+}
+
+#[test]
+fn glass_has_textures_vertex_colours_and_holes() {
+    let gpu = Gpu::headless().unwrap();
+    let picture = panorama(64, 32, |d| Vec3::splat(0.5 + 0.1 * d.z.signum()));
+    let empty = Stand::new().draw(&gpu, &picture, &dark());
+    // Fresnel's 0.04 of what is behind the camera, and the rest passes once through the colour: a decimetre of glass.
+    let seen = |tint: Vec3| Vec3::splat(0.04 * 0.6) + 0.96 * 0.4 * tint;
+    let middle = |file: &File| at(&slab(file).draw(&gpu, &picture, &dark()), 0.5, 0.5);
+    let tint = Vec3::new(1.0, 0.0, 1.0);
+    let clear = white([0.0, 0.0, 1.0], &glass());
+    let mut factor = clear.clone();
+    factor.json["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] = json!([1.0, 0.0, 1.0, 1.0]);
+    let mut textured = clear.clone();
+    let texture = textured.texture(1, &[[255, 0, 255, 0]], json!({}));
+    textured.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"] = json!({ "index": texture });
+    let mut coloured = clear.clone();
+    let colors = coloured.floats("VEC4", &[[1.0, 0.0, 1.0, 1.0]; 4].concat());
+    coloured.json["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"] = json!(colors);
+    for (name, file, tint) in
+        [("clear", &clear, Vec3::ONE), ("factor", &factor, tint), ("texture", &textured, tint), ("vertices", &coloured, tint)]
+    {
+        let (drawn, expected) = (middle(file), seen(tint));
+        // Light that is next to none is kept for infinite ways through it: a ten thousandth. The map has mips of half floats.
+        assert!((drawn - expected).abs().max_element() < 4e-3, "{name}: {drawn} against {expected}");
+    }
+    // Glass blends by itself, whatever its alpha; a mask cuts it.
+    textured.json["materials"][0]["alphaMode"] = json!("BLEND");
+    assert!((middle(&textured) - seen(tint)).abs().max_element() < 4e-3);
+    textured.json["materials"][0]["alphaMode"] = json!("MASK");
+    assert_eq!(slab(&textured).draw(&gpu, &picture, &dark()), empty);
+}
+
+#[test]
+fn blended_surfaces_are_seen_through_glass_and_before_it() {
+    let gpu = Gpu::headless().unwrap();
+    let picture = even(0.5);
+    let mut pane = square(Some([0.0, 0.0, 1.0]));
+    pane.json["materials"][0] = json!({
+        "alphaMode": "BLEND",
+        "pbrMetallicRoughness": { "baseColorFactor": [1.0, 0.0, 0.0, 0.5] },
+        "extensions": { "KHR_materials_unlit": {} }
+    });
+    let glass = white([0.0, 0.0, 1.0], &glass());
+    // Half of it red, half of it what is behind.
+    let over = Vec3::new(0.75, 0.25, 0.25);
+    for (z, expected) in [(-1.0, 0.96 * over + 0.04 * 0.5), (0.5, over)] {
+        let stand = ahead(&glass).with(&pane, AHEAD + Vec3::Z * z, Quat::IDENTITY);
+        let seen = at(&stand.draw(&gpu, &picture, &dark()), 0.5, 0.5);
+        assert!((seen - expected).abs().max_element() < 4e-3, "{z}: {seen} against {expected}");
+    }
+}
+
 #[test]
 fn shadows_have_the_holes_and_the_density_of_their_casters() {
     let gpu = Gpu::headless().unwrap();

@@ -448,17 +448,8 @@ impl Renderer {
         pass.set_bind_group(0, &self.resources.frame, &[at as u32 * VIEW_STRIDE]);
         pass.set_bind_group(1, environment.bind_group(), &[]);
         pass.set_bind_group(2, environment.reflection_bind_group(), &[]);
-        let draw_object = |pass: &mut wgpu::RenderPass<'_>, draw: &stage::Draw| {
-            let Some(Ok(model)) = self.models.get(&draw.geometry) else { return 0 };
-            let Some(part) = model.parts.get(draw.part) else { return 0 };
-            let Some(pipeline) = self.pipelines.get(kind, object_use(draw)) else { return 0 };
-            pass.set_pipeline(pipeline);
-            pass.set_bind_group(3, if draw.own_material { &part.material } else { self.models.plain() }, &[]);
-            draw_part(pass, model, part, draw);
-            1
-        };
         for draw in self.stage.draws.iter().filter(|draw| draw.look.alpha != Alpha::Blend && !is_glass(draw)) {
-            report.draws += draw_object(&mut pass, draw);
+            report.draws += self.draw_object(&mut pass, kind, draw);
         }
         report.triangles += self.stage.triangles;
         self.draw_place(&mut pass, kind, report);
@@ -473,9 +464,20 @@ impl Renderer {
             }
         }
         // Over all that covers, ground too, which writes what is changed and not what is added to it.
-        for draw in self.stage.blended(view.camera.position) {
-            report.draws += draw_object(&mut pass, draw);
+        for draw in self.stage.blended(view.camera.position).0 {
+            report.draws += self.draw_object(&mut pass, kind, draw);
         }
+    }
+
+    /// Draws one, if its pipeline and model are there; the groups of frame, environment and reflections are set. Returns the draw calls.
+    fn draw_object(&self, pass: &mut wgpu::RenderPass<'_>, kind: Kind, draw: &stage::Draw) -> u32 {
+        let Some(Ok(model)) = self.models.get(&draw.geometry) else { return 0 };
+        let Some(part) = model.parts.get(draw.part) else { return 0 };
+        let Some(pipeline) = self.pipelines.get(kind, object_use(draw)) else { return 0 };
+        pass.set_pipeline(pipeline);
+        pass.set_bind_group(3, if draw.own_material { &part.material } else { self.models.plain() }, &[]);
+        draw_part(pass, model, part, draw);
+        1
     }
 
     fn composite(

@@ -117,6 +117,8 @@ pub(super) struct Stage {
     pub(super) occluders_lost: usize,
     pub(super) casters: Vec<Bounds>,
     pub(super) targets: Vec<Target>,
+    /// Middles of what is of glass.
+    pub(super) glass: Vec<Vec3>,
     /// Objects that move by themselves, each with its bounds in the world.
     pub(super) animated: Vec<(Geometry, usize, Bounds)>,
     pub(super) needs: SceneNeeds,
@@ -200,7 +202,10 @@ impl Stage {
                 _ if varies => Surface::Varying,
                 own => own,
             };
-            self.needs.glass |= surface == Surface::Glass;
+            if surface == Surface::Glass {
+                self.needs.glass = true;
+                self.glass.extend(run.iter().map(|placed| placed.world_from_object.transform_point3(part.center)));
+            }
             let animation = first.animation;
             let draw = |instances: Range<u32>, center: Vec3| Draw {
                 geometry: first.object.geometry,
@@ -237,11 +242,12 @@ impl Stage {
         }
     }
 
-    /// Draws of blended surfaces, the farthest from a point first.
-    pub(super) fn blended(&self, from: Vec3) -> Vec<&Draw> {
+    /// Draws of blended surfaces, the farthest from a point first: those that glass may show, and those nearer than all glass.
+    pub(super) fn blended(&self, from: Vec3) -> (Vec<&Draw>, Vec<&Draw>) {
+        let nearest_glass = self.glass.iter().map(|at| at.distance_squared(from)).reduce(f32::min).unwrap_or(0.0);
         let mut draws: Vec<&Draw> = self.draws.iter().filter(|draw| draw.look.alpha == Alpha::Blend).collect();
         draws.sort_by(|a, b| b.center.distance_squared(from).total_cmp(&a.center.distance_squared(from)));
-        draws
+        draws.into_iter().partition(|draw| draw.center.distance_squared(from) >= nearest_glass)
     }
 
     /// The part of the ground, in x and z, that objects can change under this light: their occluders' reach and
