@@ -110,7 +110,7 @@ fn shadow_maps_are_drawn_when_light_or_scene_change() {
     assert_eq!(draws(&mut set(ball(diffuse(0.7)))), 3 + 2);
     // What moves by itself takes its shadow along, and what stands still leaves it.
     let (model, id) = slider();
-    let moving = Object { geometry: Geometry::Model(id), material: None, ..object(1, Shape::Cube, Vec3::NEG_Z * 3.5, 1.0, mirror()) };
+    let moving = Object { geometry: Geometry::Model(id), material: None, ..object(1, Shape::Cube, Vec3::NEG_Z * 3.5, 0.3, mirror()) };
     let moving = scene(vec![moving]);
     let set_moving = |renderer: &mut Renderer| assert!(renderer.set_scene(&gpu, &moving, &|_| Some(Ok(Arc::clone(&model)))).is_empty());
     assert_eq!(draws(&mut |renderer| set_moving(renderer)), 3 + 2);
