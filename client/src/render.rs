@@ -78,6 +78,9 @@ pub struct RenderArgs {
     /// harmonics of the panorama alone, and no light casts a shadow.
     #[arg(long)]
     pub light: Option<PathBuf>,
+    /// Time at which animated models are shown, seconds after their animations began.
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, value_parser = parse_time, allow_negative_numbers = true)]
+    pub time: f64,
     /// Layout of the panorama's views.
     #[arg(long, value_parser = parse_stereo, default_value = "mono")]
     pub stereo: StereoLayout,
@@ -92,6 +95,12 @@ pub struct RenderArgs {
 fn parse_reflections(text: &str) -> Result<Reflections, String> {
     let named = Reflections::ALL.into_iter().find(|(_, name)| *name == text);
     named.map(|(method, _)| method).ok_or_else(|| Reflections::ALL.map(|(_, name)| name).join(" or "))
+}
+
+/// A day is enough for every animation, and microseconds count it exactly.
+fn parse_time(text: &str) -> Result<f64, String> {
+    let seconds: f64 = text.parse().map_err(|_| "not a number".to_owned())?;
+    if (0.0..=86_400.0).contains(&seconds) { Ok(seconds) } else { Err("from 0 to 86400 seconds".to_owned()) }
 }
 
 fn parse_stereo(text: &str) -> Result<StereoLayout, String> {
@@ -147,7 +156,8 @@ struct Inputs {
 
 impl Inputs {
     fn load(args: &RenderArgs) -> anyhow::Result<Self> {
-        let picture = load_panorama(&args.panorama, args.stereo)?;
+        let mut picture = load_panorama(&args.panorama, args.stereo)?;
+        picture.pts_us = (args.time * 1e6).round() as u64;
         let (scene, assets) = load_scene(&args.scene)?;
         let light = match &args.light {
             Some(path) => load_light(path)?,
@@ -188,7 +198,7 @@ fn save((width, height): (u32, u32), coded: (PictureFile, Vec<u8>), linear: Opti
 
 const TOO_FEW: &str = "the GPU gave back fewer pixels than were asked for";
 
-/// A still panorama with its light, and a scene to draw into it.
+/// A still panorama with its light, and a scene to draw into it: in the pose of the picture's time.
 pub struct Still<'a> {
     /// Draws.
     pub gpu: &'a Gpu,
@@ -248,6 +258,7 @@ impl Still<'_> {
         let mut renderer = Renderer::new(gpu, format).map_err(running)?;
         renderer.set_light(self.light);
         renderer.set_reflections(reflections);
+        renderer.set_time(self.picture.pts_us);
         if let Some(warning) = renderer.set_scene(gpu, self.scene, &|id| self.assets.get(&id).cloned().map(Ok)).into_iter().next() {
             return Err(Failure::Input(warning.into()));
         }
@@ -441,6 +452,14 @@ pub fn ambient_light(picture: &Picture) -> LightFrame {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_time_is_seconds_of_a_day() {
+        assert_eq!(parse_time("1.5"), Ok(1.5));
+        for refused in ["-1", "86401", "nan", "inf", "1s"] {
+            assert!(parse_time(refused).is_err(), "{refused}");
+        }
+    }
 
     #[test]
     fn a_picture_beyond_one_buffer_is_drawn_whole() {

@@ -14,6 +14,8 @@ pub const MAX_PLACE_MESHES: usize = 16;
 pub const MAX_USERS: usize = 256;
 /// Most changes in one delta.
 pub const MAX_CHANGES: usize = 256;
+/// Most bytes in an animation's name.
+pub const MAX_ANIMATION_BYTES: usize = 64;
 /// Most characters in a user's name.
 pub const MAX_NAME_CHARS: usize = 64;
 /// Objects stay within this distance of the origin on every axis, metres.
@@ -96,6 +98,19 @@ impl Default for Transform {
     }
 }
 
+/// Which of its model's animations an object plays. It begins with the broadcast and is repeated for ever, so that every
+/// viewer shows the same pose with the same picture.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub enum Playback {
+    /// The model's first, if it has any.
+    #[default]
+    First,
+    /// None: the model at rest.
+    Still,
+    /// The one of this name, not empty and of at most [`MAX_ANIMATION_BYTES`].
+    Named(String),
+}
+
 /// One virtual object.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Object {
@@ -107,6 +122,8 @@ pub struct Object {
     pub transform: Transform,
     /// Its surface; a model without one keeps the materials of its file.
     pub material: Option<Material>,
+    /// How its model moves; of no effect on shapes.
+    pub animation: Playback,
 }
 
 /// A mesh of the real place, as the video shows it: it catches shadows and hides what is behind it, and is itself never seen.
@@ -293,7 +310,7 @@ impl Transform {
 }
 
 impl Object {
-    /// Bounds the transform and the material; `message` names what carries it.
+    /// Bounds the transform, the material and the animation's name; `message` names what carries it.
     ///
     /// # Errors
     /// [`WireError::OutOfRange`] naming the field.
@@ -305,7 +322,12 @@ impl Object {
             ensure_in_range(unit(material.roughness), message, "roughness", || material.roughness.to_string())?;
             ensure_in_range(unit(material.metallic), message, "metallic", || material.metallic.to_string())?;
         }
-        Ok(())
+        match &self.animation {
+            Playback::Named(name) => ensure_in_range((1..=MAX_ANIMATION_BYTES).contains(&name.len()), message, "animation", || {
+                format!("a name of {} bytes, 1 to {MAX_ANIMATION_BYTES}", name.len())
+            }),
+            Playback::First | Playback::Still => Ok(()),
+        }
     }
 }
 
@@ -332,6 +354,7 @@ impl Scene {
 
 impl Message for SceneMessage {
     const NAME: &'static str = "scene message";
+    /// 2: objects have a [`Playback`], scenes have meshes of the place.
     const VERSION: u8 = 2;
 
     fn validate(&self) -> Result<(), WireError> {
@@ -369,7 +392,8 @@ mod tests {
     use proptest::prelude::*;
 
     fn object(id: u32) -> Object {
-        Object { id: ObjectId(id), geometry: Geometry::Shape(Shape::Cube), transform: Transform::default(), material: None }
+        let geometry = Geometry::Shape(Shape::Cube);
+        Object { id: ObjectId(id), geometry, transform: Transform::default(), material: None, animation: Playback::default() }
     }
 
     #[test]
@@ -411,6 +435,8 @@ mod tests {
         assert!(broken(|o| o.material = Some(Material { roughness: 1.5, ..Material::default() })).contains("roughness"));
         assert!(broken(|o| o.material = Some(Material { metallic: -0.1, ..Material::default() })).contains("metallic"));
         assert!(broken(|o| o.material = Some(Material { base_color: [f32::INFINITY; 3], ..Material::default() })).contains("base_color"));
+        assert!(broken(|o| o.animation = Playback::Named(String::new())).contains("animation"));
+        assert!(broken(|o| o.animation = Playback::Named("ä".repeat(MAX_ANIMATION_BYTES / 2 + 1))).contains("animation"));
     }
 
     #[test]
@@ -431,6 +457,7 @@ mod tests {
         let objects = (0..MAX_OBJECTS as u32).map(|id| Object {
             geometry: Geometry::Model(AssetId::of(&id.to_le_bytes())),
             material: Some(Material::default()),
+            animation: Playback::Named("a".repeat(MAX_ANIMATION_BYTES)),
             ..object(id)
         });
         let mesh = PlaceMesh { model: AssetId::of(b"room"), transform: Transform::default(), casts_shadows: true };

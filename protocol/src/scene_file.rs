@@ -8,6 +8,7 @@
 //! rotation_deg = [0.0, 30.0, 0.0] # about x, y, z, applied in the order y, x, z
 //! scale = 1.0                     # or [x, y, z]
 //! material = { base_color = [0.8, 0.8, 0.8], roughness = 0.3, metallic = 0.0, kind = "opaque" }
+//! animation = "Walk"              # of models alone: one of the file's, or "none"; without it the file's first
 //! [[place]]
 //! model = "room.glb"              # of the real place: catches shadows and hides what is behind it
 //! casts_shadows = true            # false for what holds the lights, or lies beyond them
@@ -21,8 +22,12 @@ use serde::Deserialize;
 
 use crate::asset::{AssetId, MAX_ASSETS};
 use crate::codec::{WireError, ensure_in_range};
-use crate::scene::{Geometry, MAX_OBJECTS, MAX_PLACE_MESHES, Material, MaterialKind, Object, ObjectId, PlaceMesh, Scene, Shape, Transform};
+use crate::scene::{
+    Geometry, MAX_OBJECTS, MAX_PLACE_MESHES, Material, MaterialKind, Object, ObjectId, PlaceMesh, Playback, Scene, Shape, Transform,
+};
 
+/// What a scene file calls a model that stays at rest.
+pub const NO_ANIMATION: &str = "none";
 /// Largest scene file that is read.
 pub const MAX_SCENE_FILE_BYTES: u64 = 1024 * 1024;
 
@@ -116,6 +121,7 @@ struct FileObject {
     #[serde(default)]
     scale: FileScale,
     material: Option<FileMaterial>,
+    animation: Option<String>,
 }
 
 #[derive(Clone, Copy, Deserialize)]
@@ -161,9 +167,18 @@ impl From<FileMaterial> for Material {
 pub struct SceneFile {
     path: PathBuf,
     ground_y: f32,
-    objects: Vec<(FileGeometry, Transform, Option<Material>)>,
+    objects: Vec<Checked>,
     /// Model, transform, and whether it casts shadows.
     place: Vec<(PathBuf, Transform, bool)>,
+}
+
+/// An object that is within bounds.
+#[derive(Debug, Clone, PartialEq)]
+struct Checked {
+    geometry: FileGeometry,
+    transform: Transform,
+    material: Option<Material>,
+    animation: Playback,
 }
 
 #[derive(Debug, Clone, PartialEq)]
@@ -242,7 +257,7 @@ impl SceneFile {
         let mut models: Vec<&Path> = self
             .objects
             .iter()
-            .filter_map(|(geometry, ..)| match geometry {
+            .filter_map(|object| match &object.geometry {
                 FileGeometry::Model(path) => Some(path.as_path()),
                 FileGeometry::Shape(_) => None,
             })
@@ -272,8 +287,8 @@ impl SceneFile {
             Ok(asset)
         };
         let mut scene = Scene { ground_y: self.ground_y, ..Scene::default() };
-        for (id, (geometry, transform, material)) in (1..).zip(&self.objects) {
-            let geometry = match geometry {
+        for (id, object) in (1..).zip(&self.objects) {
+            let geometry = match &object.geometry {
                 FileGeometry::Shape(shape) => Geometry::Shape(*shape),
                 FileGeometry::Model(model) => Geometry::Model(asset_once(model).map_err(|fault| SceneFileError::Object {
                     path: self.path.clone(),
@@ -281,7 +296,8 @@ impl SceneFile {
                     fault,
                 })?),
             };
-            scene.objects.push(Object { id: ObjectId(id), geometry, transform: *transform, material: *material });
+            let Checked { transform, material, animation, .. } = object.clone();
+            scene.objects.push(Object { id: ObjectId(id), geometry, transform, material, animation });
         }
         for (index, (model, transform, casts_shadows)) in (1..).zip(&self.place) {
             let model = asset_once(model).map_err(|fault| SceneFileError::Place { path: self.path.clone(), index, fault })?;
@@ -291,7 +307,7 @@ impl SceneFile {
     }
 }
 
-fn check(object: FileObject, folder: &Path) -> Result<(FileGeometry, Transform, Option<Material>), String> {
+fn check(object: FileObject, folder: &Path) -> Result<Checked, String> {
     let geometry = match (object.shape, object.model) {
         (Some(shape), None) => FileGeometry::Shape(shape),
         (None, Some(model)) => FileGeometry::Model(folder.join(model)),
@@ -303,9 +319,16 @@ fn check(object: FileObject, folder: &Path) -> Result<(FileGeometry, Transform, 
         FileGeometry::Shape(_) => Some(Material::default()),
         FileGeometry::Model(_) => None,
     });
-    let probe = Object { id: ObjectId(0), geometry: Geometry::Shape(Shape::Cube), transform, material };
+    let animation = match object.animation {
+        Some(_) if matches!(geometry, FileGeometry::Shape(_)) => return Err("animation: shapes have none; leave it out".to_owned()),
+        Some(name) if name == NO_ANIMATION => Playback::Still,
+        Some(name) => Playback::Named(name),
+        None => Playback::First,
+    };
+    let shape = Geometry::Shape(Shape::Cube);
+    let probe = Object { id: ObjectId(0), geometry: shape, transform, material, animation: animation.clone() };
     probe.validate("scene file").map_err(|error| fault(&error))?;
-    Ok((geometry, transform, material))
+    Ok(Checked { geometry, transform, material, animation })
 }
 
 fn transform(position: [f32; 3], rotation_deg: [f32; 3], scale: FileScale) -> Result<Transform, String> {
@@ -355,6 +378,12 @@ mod tests {
             [[object]]
             model = "fox.glb"
             rotation_deg = [0.0, 90.0, 0.0]
+            [[object]]
+            model = "fox.glb"
+            animation = "Walk"
+            [[object]]
+            model = "fox.glb"
+            animation = "none"
             "#,
         )
         .unwrap();
@@ -366,6 +395,8 @@ mod tests {
         assert_eq!(scene.objects[0].material.unwrap().metallic, 1.0);
         assert_eq!(scene.objects[1].geometry, Geometry::Model(fox));
         assert_eq!(scene.objects[1].material, None);
+        let animations: Vec<_> = scene.objects.iter().map(|object| object.animation.clone()).collect();
+        assert_eq!(animations, [Playback::First, Playback::First, Playback::Named("Walk".to_owned()), Playback::Still]);
         // A quarter turn about +y takes −z to −x.
         assert!((scene.objects[1].transform.rotation * -Vec3::Z - -Vec3::X).length() < 1e-6);
     }
@@ -403,6 +434,8 @@ mod tests {
             (format!("{sphere}material = {{ kind = \"wood\" }}"), "wood"),
             (format!("{sphere}material = {{ shiny = true }}"), "shiny"),
             (format!("{sphere}colour = 1"), "colour"),
+            (format!("{sphere}animation = \"Walk\""), "shapes have none"),
+            ("ground_y = 0.0\n[[object]]\nmodel = \"a.glb\"\nanimation = \"\"".to_owned(), "animation"),
         ] {
             let error = parse(&text).unwrap_err().to_string();
             assert!(error.contains(names) && error.contains("stage/SCENE.toml"), "{text:?} gave {error}");

@@ -245,8 +245,13 @@ mod tests {
     use mr360_protocol::scene::{Geometry, Object, Shape};
 
     fn session() -> Session {
-        let object =
-            |id| Object { id: ObjectId(id), geometry: Geometry::Shape(Shape::Cube), transform: Transform::default(), material: None };
+        let object = |id| Object {
+            id: ObjectId(id),
+            geometry: Geometry::Shape(Shape::Cube),
+            transform: Transform::default(),
+            material: None,
+            animation: Default::default(),
+        };
         Session::new(Scene { objects: vec![object(1), object(2)], ..Scene::default() })
     }
 

@@ -257,6 +257,90 @@ pub struct Vertex {
     pub uv: [f32; 2],
 }
 
+/// What a vertex has beyond [`Vertex`], in a buffer of its own for meshes that need any of it.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub struct Detail {
+    /// Unit, in the object; the fourth is the sign of the bitangent, 0 where there is none.
+    pub tangent: [f32; 4],
+    /// Second texture coordinates.
+    pub uv1: [f32; 2],
+    /// Linear RGBA, in 65535ths.
+    pub color: [u16; 4],
+}
+
+/// `Influence`: what moves a vertex.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub struct Influence {
+    /// Add up to 1.
+    pub weights: [f32; 4],
+    /// Of the matrices, two in each number, the first in its lower half.
+    pub joints: [u32; 2],
+    /// Unused.
+    pub padding: [u32; 2],
+}
+
+/// `Delta`: how far a morph target of weight 1 moves a vertex.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub struct Delta {
+    /// Metres.
+    pub position: [f32; 3],
+    /// Added before the normal is made a unit vector again.
+    pub normal: [f32; 3],
+}
+
+/// `Deformation`: one mesh to be put into a pose.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub struct Deformation {
+    /// Vertices of the mesh.
+    pub vertex_count: u32,
+    /// Morph targets.
+    pub target_count: u32,
+    /// Of the pose's matrices, the first that is its own.
+    pub first_matrix: u32,
+    /// Of the pose's weights, the first that is its own.
+    pub first_weight: u32,
+    /// 1 where vertices have influences; else the first matrix moves them all.
+    pub skinned: u32,
+    /// 1 where each three vertices are a triangle with the normal of its plane.
+    pub flat_shaded: u32,
+    /// Unused.
+    pub padding: [u32; 2],
+}
+
+/// `TextureMap`: how a texture's coordinates follow from a vertex's.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub struct TextureMap {
+    /// First row of the transform of (u, v, 1); the fourth is 1 for the second set of coordinates.
+    pub u: [f32; 4],
+    /// Second row.
+    pub v: [f32; 4],
+}
+
+/// `Material`: what a model's file says of a surface beyond the instance's.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub struct Material {
+    /// Base colour, metallic-roughness, normal, occlusion, emission.
+    pub maps: [TextureMap; 5],
+    /// Linear radiance.
+    pub emission: [f32; 3],
+    /// Of mapped normals' first two components.
+    pub normal_scale: f32,
+    /// In [0, 1].
+    pub occlusion_strength: f32,
+    /// In [0, 1].
+    pub alpha: f32,
+    /// Least alpha that covers.
+    pub alpha_cutoff: f32,
+    /// Unused.
+    pub padding: f32,
+}
+
 /// `Probe`: one question to the kernels under test.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
@@ -387,6 +471,12 @@ mod tests {
         mirrors!(EnvironmentPrefilter, Prefilter { taps, count, size_px, padding });
         mirrors!(EnvironmentLift, Cut { direction, cos_inner, cos_outer, share, padding });
         mirrors!(Caster, Caster { clip_from_world });
+        mirrors!(Deform, Vertex { position, normal, uv });
+        mirrors!(Deform, Influence { weights, joints, padding });
+        mirrors!(Deform, Delta { position, normal });
+        mirrors!(Deform, Deformation { vertex_count, target_count, first_matrix, first_weight, skinned, flat_shaded, padding });
+        mirrors!(Object, TextureMap { u, v });
+        mirrors!(Object, Material { maps, emission, normal_scale, occlusion_strength, alpha, alpha_cutoff, padding });
         mirrors!(Probe, Probe { direction, transfer, code, lift, bt709_from_primaries, recovery });
         mirrors!(BrdfProbe, BrdfProbe { view, roughness, light, tan_radius, albedo, metallic });
         mirrors!(BrdfProbe, BrdfResult { specular, padding, direct, padding_2, ambient, padding_3 });

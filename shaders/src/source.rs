@@ -62,6 +62,26 @@ impl Surface {
     }
 }
 
+/// What a surface's alpha does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Default)]
+pub enum Alpha {
+    /// Nothing.
+    #[default]
+    Opaque,
+    /// Cuts holes.
+    Mask,
+    /// Lets through what lies behind.
+    Blend,
+}
+
+impl Alpha {
+    /// Its number in the shaders.
+    #[must_use]
+    pub fn index(self) -> u32 {
+        self as u32
+    }
+}
+
 /// How glossy surfaces look their lobes up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub enum Reflections {
@@ -96,6 +116,10 @@ pub enum Module {
     EnvironmentPrefilter,
     /// Depth from a light.
     Caster,
+    /// Depth from a light, of surfaces with holes.
+    Cutout,
+    /// Vertices put into a pose.
+    Deform,
     /// Virtual objects.
     Object,
     /// Virtual objects of glass, after all others.
@@ -114,11 +138,13 @@ pub enum Module {
 
 impl Module {
     /// Every module.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 13] = [
         Self::EnvironmentLift,
         Self::EnvironmentMip,
         Self::EnvironmentPrefilter,
         Self::Caster,
+        Self::Cutout,
+        Self::Deform,
         Self::Object,
         Self::Glass,
         Self::Ground,
@@ -136,6 +162,8 @@ impl Module {
             Self::EnvironmentMip => "environment_mip.wgsl",
             Self::EnvironmentPrefilter => "environment_prefilter.wgsl",
             Self::Caster => "caster.wgsl",
+            Self::Cutout => "cutout.wgsl",
+            Self::Deform => "deform.wgsl",
             Self::Object => "object.wgsl",
             Self::Glass => "glass.wgsl",
             Self::Ground => "ground.wgsl",
@@ -177,6 +205,8 @@ files![
     "colour.wgsl",
     "composite.wgsl",
     "cube.wgsl",
+    "cutout.wgsl",
+    "deform.wgsl",
     "environment_lift.wgsl",
     "environment_mip.wgsl",
     "environment_prefilter.wgsl",
@@ -185,6 +215,7 @@ files![
     "fullscreen.wgsl",
     "glass.wgsl",
     "ground.wgsl",
+    "material.wgsl",
     "object.wgsl",
     "occlusion.wgsl",
     "overlay.wgsl",
@@ -287,6 +318,9 @@ fn prelude() -> String {
         ("MAX_TAPS", lobe::MAX_TAPS as u32),
         ("REFLECTIONS_IORNS", Reflections::Iorns.index()),
         ("REFLECTIONS_TAPS", Reflections::Taps.index()),
+        ("ALPHA_MASK", Alpha::Mask.index()),
+        ("ALPHA_OPAQUE", Alpha::Opaque.index()),
+        ("ALPHA_BLEND", Alpha::Blend.index()),
         ("SURFACE_ROUGH", Surface::Rough.index()),
         ("SURFACE_MIRROR", Surface::Mirror.index()),
         ("SURFACE_GLOSSY", Surface::Glossy.index()),

@@ -143,7 +143,13 @@ fn beyond(way: Passage, spread: f32) -> Beyond {
     var met_m = meets_drawn(way.exit, way.direction, ground_m * 1.01);
     if met_m < 0.0 {
         let towards = normalize(way.exit + way.direction * ground_m - view.position);
-        return Beyond(vec4(0.0), select(way.direction, towards, lands));
+        // What is blended has no depth: it is seen as far away as the panorama is.
+        let place = layer_place(way.exit + way.direction * min(ground_m, BEYOND_LAST_M));
+        var blended = vec4(0.0);
+        if place.inside && textureLoad(drawn_depth, place.texel, 0) == 0.0 {
+            blended = textureLoad(drawn, place.texel, 0);
+        }
+        return Beyond(blended, select(way.direction, towards, lands));
     }
     let sides = lobe_sides(way.direction);
     let taps = select(ROUGH_TAPS, 1u, spread == 0.0);
@@ -157,21 +163,19 @@ fn beyond(way: Passage, spread: f32) -> Beyond {
     return Beyond(sum / f32(taps), normalize(way.exit + way.direction * met_m - view.position));
 }
 
-@fragment
-fn fs_glass(in: ObjectVertex) -> @location(0) vec4<f32> {
+// Radiance of glass. A mask cuts holes into it, and it may glow; occlusion counts for nothing in what is seen through.
+fn glass_radiance(in: ObjectVertex, surface: SurfacePoint) -> vec4<f32> {
     let v = normalize(view.position - in.world);
-    let n = normalize(in.normal);
+    let n = surface.normal;
     let mirror = reflect(-v, n);
     let dx = dpdx(mirror);
     let dy = dpdy(mirror);
     let footprint_sr = min(length(cross(dx, dy)), 4.0 * PI) + 1e-9;
-    var tint = in.base_color.rgb;
-    var roughness = in.base_color.a;
-    if TEXTURED {
-        tint *= textureSample(base_color_map, material_sampler, in.uv).rgb;
-        roughness *= textureSample(metallic_roughness_map, material_sampler, in.uv).g;
+    if ALPHA == ALPHA_MASK && surface.alpha < material.alpha_cutoff {
+        discard;
     }
-    roughness = clamp(roughness, 0.0, 1.0);
+    let tint = surface.albedo;
+    let roughness = surface.roughness;
     let fresnel = fresnel_dielectric(max(dot(n, v), 0.0), GLASS_IOR);
     let way = passage(in.world, n, v);
     let passed = (1.0 - fresnel) * pow(clamp(tint, vec3(1e-4), vec3(1.0)), vec3(way.length_m / GLASS_DEPTH_M));
@@ -194,5 +198,15 @@ fn fs_glass(in: ObjectVertex) -> @location(0) vec4<f32> {
         }
         radiance += light.irradiance * light.cut * highlight;
     }
-    return vec4(min(radiance, vec3(MAX_MAGNITUDE)), 1.0);
+    return vec4(min(radiance + surface.emission, vec3(MAX_MAGNITUDE)), 1.0);
+}
+
+@fragment
+fn fs_glass(in: ObjectVertex, @builtin(front_facing) front: bool) -> @location(0) vec4<f32> {
+    return glass_radiance(in, plain_point(in, front));
+}
+
+@fragment
+fn fs_glass_detailed(in: DetailedVertex, @builtin(front_facing) front: bool) -> @location(0) vec4<f32> {
+    return glass_radiance(without_detail(in), detailed_point(in, front));
 }

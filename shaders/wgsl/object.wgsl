@@ -4,15 +4,10 @@
 #import "shadow.wgsl"
 #import "occlusion.wgsl"
 #import "reflection.wgsl"
-
-@group(3) @binding(0) var base_color_map: texture_2d<f32>;
-@group(3) @binding(1) var metallic_roughness_map: texture_2d<f32>;
-@group(3) @binding(2) var material_sampler: sampler;
+#import "material.wgsl"
 
 // What kind of surface a draw has: one of the SURFACE constants.
 override SURFACE: u32 = 3u;
-// The model's textures count.
-override TEXTURED: bool = true;
 
 struct ObjectVertex {
     @builtin(position) clip: vec4<f32>,
@@ -25,13 +20,7 @@ struct ObjectVertex {
     @location(5) @interpolate(flat) object: u32,
 }
 
-@vertex
-fn vs_object(
-    @location(0) position: vec3<f32>,
-    @location(1) normal: vec3<f32>,
-    @location(2) uv: vec2<f32>,
-    @builtin(instance_index) index: u32,
-) -> ObjectVertex {
+fn object_vertex(position: vec3<f32>, normal: vec3<f32>, uv: vec2<f32>, index: u32) -> ObjectVertex {
     let world = instances[index].world_from_object * vec4(position, 1.0);
     return ObjectVertex(
         view.clip_from_world * world,
@@ -41,6 +30,50 @@ fn vs_object(
         vec4(instances[index].base_color, instances[index].roughness),
         instances[index].metallic,
         instances[index].object,
+    );
+}
+
+@vertex
+fn vs_object(
+    @location(0) position: vec3<f32>,
+    @location(1) normal: vec3<f32>,
+    @location(2) uv: vec2<f32>,
+    @builtin(instance_index) index: u32,
+) -> ObjectVertex {
+    return object_vertex(position, normal, uv, index);
+}
+
+// The same for meshes that have more than position, normal and first texture coordinates.
+struct DetailedVertex {
+    @builtin(position) clip: vec4<f32>,
+    @location(0) world: vec3<f32>,
+    @location(1) normal: vec3<f32>,
+    @location(2) uv: vec2<f32>,
+    @location(3) @interpolate(flat) base_color: vec4<f32>,
+    @location(4) @interpolate(flat) metallic: f32,
+    @location(5) @interpolate(flat) object: u32,
+    @location(6) tangent: vec4<f32>,
+    @location(7) uv1: vec2<f32>,
+    @location(8) color: vec4<f32>,
+}
+
+@vertex
+fn vs_object_detailed(
+    @location(0) position: vec3<f32>,
+    @location(1) normal: vec3<f32>,
+    @location(2) uv: vec2<f32>,
+    @location(3) tangent: vec4<f32>,
+    @location(4) uv1: vec2<f32>,
+    @location(5) color: vec4<f32>,
+    @builtin(instance_index) index: u32,
+) -> DetailedVertex {
+    let plain = object_vertex(position, normal, uv, index);
+    let along = instances[index].world_from_object * vec4(tangent.xyz, 0.0);
+    // Made a unit before it is interpolated, as the normal is for the same frame.
+    let unit = along.xyz * inverseSqrt(max(dot(along.xyz, along.xyz), 1e-20));
+    let world_tangent = vec4(unit, tangent.w);
+    return DetailedVertex(
+        plain.clip, plain.world, plain.normal, plain.uv, plain.base_color, plain.metallic, plain.object, world_tangent, uv1, color,
     );
 }
 
@@ -92,31 +125,30 @@ fn visibility_of_light(index: u32, world: vec3<f32>, normal: vec3<f32>) -> f32 {
     return 1.0;
 }
 
-@fragment
-fn fs_object(in: ObjectVertex, @builtin(front_facing) front: bool) -> @location(0) vec4<f32> {
+// Radiance of a surface, premultiplied by its alpha.
+fn shaded(in: ObjectVertex, surface: SurfacePoint) -> vec4<f32> {
     let v = normalize(view.position - in.world);
-    let n = normalize(select(-in.normal, in.normal, front));
+    let n = surface.normal;
     let mirror = reflect(-v, n);
     let dx = dpdx(mirror);
     let dy = dpdy(mirror);
     let footprint_sr = min(length(cross(dx, dy)), 4.0 * PI) + 1e-9;
-    var albedo = in.base_color.rgb;
-    var roughness = in.base_color.a;
-    var metallic = in.metallic;
-    if TEXTURED {
-        albedo *= textureSample(base_color_map, material_sampler, in.uv).rgb;
-        let metallic_roughness = textureSample(metallic_roughness_map, material_sampler, in.uv);
-        roughness *= metallic_roughness.g;
-        metallic *= metallic_roughness.b;
+    let albedo = surface.albedo;
+    let roughness = surface.roughness;
+    let metallic = surface.metallic;
+    if UNLIT {
+        return vec4(min(albedo, vec3(MAX_MAGNITUDE)), 1.0) * surface.alpha;
     }
-    roughness = clamp(roughness, 0.0, 1.0);
-    metallic = clamp(metallic, 0.0, 1.0);
 
     let f0 = surface_f0(albedo, metallic);
     let weights = ambient_weights(f0, albedo, metallic, max(dot(n, v), 0.0), roughness);
     let kept = neighbour_ratio(in.world, n, in.object);
     let around = reflected(mirror, roughness, footprint_sr);
-    var radiance = weights.specular * around.radiance + weights.diffuse * kept * sh_irradiance(n) / PI;
+    var specular_kept = 1.0;
+    if OCCLUSION_MAP {
+        specular_kept = specular_occlusion(surface.occlusion, max(dot(n, v), 0.0), roughness);
+    }
+    var radiance = specular_kept * weights.specular * around.radiance + surface.occlusion * weights.diffuse * kept * sh_irradiance(n) / PI;
 
     for (var i = 0u; i < lighting.light_count; i++) {
         let light = lighting.lights[i];
@@ -128,5 +160,55 @@ fn fs_object(in: ObjectVertex, @builtin(front_facing) front: bool) -> @location(
             radiance += light.irradiance * visibility_of_light(i, in.world, n) * (specular + weights.diffuse * cosine / PI);
         }
     }
-    return vec4(min(radiance, vec3(MAX_MAGNITUDE)), 1.0);
+    return vec4(min(radiance + surface.emission, vec3(MAX_MAGNITUDE)), 1.0) * surface.alpha;
+}
+
+fn plain_point(in: ObjectVertex, front: bool) -> SurfacePoint {
+    return surface_point(in.base_color, in.metallic, in.world, in.normal, in.uv, NO_DETAIL, front);
+}
+
+fn detailed_point(in: DetailedVertex, front: bool) -> SurfacePoint {
+    let detail = VertexDetail(in.tangent, in.uv1, in.color);
+    return surface_point(in.base_color, in.metallic, in.world, in.normal, in.uv, detail, front);
+}
+
+fn without_detail(in: DetailedVertex) -> ObjectVertex {
+    return ObjectVertex(in.clip, in.world, in.normal, in.uv, in.base_color, in.metallic, in.object);
+}
+
+@fragment
+fn fs_object(in: ObjectVertex, @builtin(front_facing) front: bool) -> @location(0) vec4<f32> {
+    return shaded(in, plain_point(in, front));
+}
+
+@fragment
+fn fs_object_detailed(in: DetailedVertex, @builtin(front_facing) front: bool) -> @location(0) vec4<f32> {
+    return shaded(without_detail(in), detailed_point(in, front));
+}
+
+// Alpha to coverage by the shader: the layer is premultiplied, so samples that are covered have to have an alpha of 1,
+// which the fixed function would take from the same number as the coverage.
+struct Masked {
+    @location(0) radiance: vec4<f32>,
+    @builtin(sample_mask) samples: u32,
+}
+
+fn masked(in: ObjectVertex, point: SurfacePoint) -> Masked {
+    let samples = mask_samples(point.alpha);
+    if samples == 0u {
+        discard;
+    }
+    var whole = point;
+    whole.alpha = 1.0;
+    return Masked(shaded(in, whole), samples);
+}
+
+@fragment
+fn fs_object_masked(in: ObjectVertex, @builtin(front_facing) front: bool) -> Masked {
+    return masked(in, plain_point(in, front));
+}
+
+@fragment
+fn fs_object_detailed_masked(in: DetailedVertex, @builtin(front_facing) front: bool) -> Masked {
+    return masked(without_detail(in), detailed_point(in, front));
 }

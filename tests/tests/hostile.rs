@@ -105,7 +105,13 @@ fn random_bytes_on_every_track_are_refused_and_survived() -> Result<()> {
     let asset = AssetId::of(b"the model");
     let mut assets = broadcast.create_track(asset.track(), track::asset_info())?;
     assets.write_frame(moq_net::Timestamp::now(), Bytes::from_static(b"not the model"))?;
-    let model = Object { id: ObjectId(1), geometry: Geometry::Model(asset), transform: Transform::default(), material: None };
+    let model = Object {
+        id: ObjectId(1),
+        geometry: Geometry::Model(asset),
+        transform: Transform::default(),
+        material: None,
+        animation: Default::default(),
+    };
     let snapshot = SceneMessage::Snapshot(Scene { objects: vec![model], ..Scene::default() }).to_wire()?;
 
     let mut victim = viewer(&sandbox, &rogue.url, &["--duration", "8"])?;

@@ -99,6 +99,8 @@ pub struct LiveStage {
     /// Objects need the light of their picture; without it they are hidden.
     lit: bool,
     light: Option<LightFrame>,
+    /// Of the picture, microseconds: when its animations are.
+    pts_us: u64,
     warned: HashMap<Element, String>,
     governor: Governor,
     clock: ClientClock,
@@ -123,6 +125,7 @@ impl LiveStage {
             ground_y: 0.0,
             lit: false,
             light: None,
+            pts_us: 0,
             warned: HashMap::new(),
             governor,
             clock: ClientClock::start(),
@@ -135,6 +138,7 @@ impl LiveStage {
         let Some((_, renderer)) = &mut self.renderer else { return };
         // Without light there is nothing to show objects by. They stay on the GPU: the light may be back with the next picture.
         renderer.set_visible(self.lit);
+        renderer.set_time(self.pts_us);
         if self.shown == Some(self.shared.lock().version) {
             return;
         }
@@ -194,6 +198,7 @@ impl Stage for LiveStage {
         let failed = |source: BoxError| FrameError::Failed { action: "uploading a picture", source };
         self.environment.upload(&self.gpu, &paired.picture).map_err(|error| failed(error.into()))?;
         self.lit = paired.light.is_some();
+        self.pts_us = paired.picture.pts_us;
         if let Some(ReceivedLight { light, .. }) = paired.light {
             if let Some((_, renderer)) = &mut self.renderer {
                 renderer.set_light(&light);
@@ -276,20 +281,12 @@ mod tests {
 
     fn model(indices: usize) -> LoadedModel {
         let mesh = Mesh { vertices: Vec::new(), indices: vec![0; indices] };
-        let surface = crate::scene::material::Surface {
-            base_color: Vec3::ONE,
-            roughness: 1.0,
-            metallic: 0.0,
-            glass: false,
-            double_sided: false,
-            base_color_texture: None,
-            metallic_roughness_texture: None,
-        };
-        Ok(Arc::new(Model { parts: vec![crate::scene::model::Part { mesh, surface }], textures: Vec::new(), bounds: Bounds::EMPTY }))
+        let parts = vec![crate::scene::model::Part { mesh, ..Default::default() }];
+        Ok(Arc::new(Model { parts, textures: Vec::new(), bounds: Bounds::EMPTY, rig: None }))
     }
 
     fn snapshot(geometry: Geometry) -> SceneMessage {
-        let object = Object { id: ObjectId(1), geometry, transform: Transform::default(), material: None };
+        let object = Object { id: ObjectId(1), geometry, transform: Transform::default(), material: None, animation: Default::default() };
         SceneMessage::Snapshot(Scene { objects: vec![object], ..Scene::default() })
     }
 

@@ -79,7 +79,7 @@ impl Stage for Doomed {
 fn scene() -> SharedScene {
     let transform = Transform { position: Vec3::new(0.0, 0.0, -3.0), rotation: Quat::IDENTITY, scale: Vec3::ONE };
     let material = Some(Material { base_color: [1.0; 3], ..Material::default() });
-    let ball = Object { id: ObjectId(1), geometry: Geometry::Shape(Shape::Sphere), transform, material };
+    let ball = Object { id: ObjectId(1), geometry: Geometry::Shape(Shape::Sphere), transform, material, animation: Default::default() };
     let shared = SharedScene::default();
     shared.apply(&SceneMessage::Snapshot(Scene { ground_y: -1.6, objects: vec![ball], ..Scene::default() })).unwrap();
     shared

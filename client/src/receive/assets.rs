@@ -198,7 +198,13 @@ mod tests {
     use super::*;
 
     fn scene(id: AssetId) -> SceneMessage {
-        let object = Object { id: ObjectId(1), geometry: Geometry::Model(id), transform: Transform::default(), material: None };
+        let object = Object {
+            id: ObjectId(1),
+            geometry: Geometry::Model(id),
+            transform: Transform::default(),
+            material: None,
+            animation: Default::default(),
+        };
         let message = SceneMessage::Snapshot(Scene { objects: vec![object], ..Scene::default() });
         message.to_wire().unwrap();
         message

@@ -6,8 +6,8 @@ use gltf::accessor::{DataType, Dimensions};
 
 use super::model::ModelError;
 
-/// Most elements of one accessor.
-pub const MAX_ELEMENTS: usize = 8_000_000;
+/// Most numbers in one accessor, components of all its elements together.
+pub const MAX_NUMBERS: usize = 16_000_000;
 
 /// The elements of an accessor as floats, `N` each; normalised integers become fractions, others their value.
 ///
@@ -23,23 +23,11 @@ pub fn floats<const N: usize>(
     if accessor.dimensions().multiplicity() != N || matches!(accessor.dimensions(), Dimensions::Mat2 | Dimensions::Mat3) {
         return Err(fault(format!("{:?} where {N} components are expected", accessor.dimensions())));
     }
-    if accessor.count() > MAX_ELEMENTS {
-        return Err(fault(format!("{} elements, at most {MAX_ELEMENTS}", accessor.count())));
-    }
-    let size = accessor.data_type().size();
+    let elements = Elements::of::<N>(accessor, buffers).map_err(fault)?;
     let mut out = vec![[0.0; N]; accessor.count()];
-    if let Some(view) = accessor.view() {
-        let stride = view.stride().unwrap_or(size * N);
-        let bytes = slice(&view, buffers).ok_or_else(|| fault(outside(&view)))?;
+    if let Some(elements) = elements {
         for (i, element) in out.iter_mut().enumerate() {
-            *element = read(bytes, accessor, i.checked_mul(stride).and_then(|at| at.checked_add(accessor.offset()))).ok_or_else(|| {
-                fault(format!(
-                    "element {i} of {} lies outside of buffer view {} of {} bytes",
-                    accessor.count(),
-                    view.index(),
-                    view.length()
-                ))
-            })?;
+            *element = elements.get(i).and_then(|bytes| values(bytes, accessor)).ok_or_else(|| fault(elements.beyond(i)))?;
         }
     }
     if let Some(sparse) = accessor.sparse() {
@@ -65,38 +53,56 @@ pub fn integers<const N: usize>(
     if accessor.dimensions().multiplicity() != N || !matches!(accessor.data_type(), DataType::U8 | DataType::U16 | DataType::U32) {
         return Err(fault(format!("{:?} of {:?} where {N} unsigned integers are expected", accessor.dimensions(), accessor.data_type())));
     }
-    if accessor.count() > MAX_ELEMENTS || accessor.sparse().is_some() {
-        return Err(fault(format!("sparse, or more than {MAX_ELEMENTS} elements")));
+    if accessor.sparse().is_some() {
+        return Err(fault("sparse; export it without".to_owned()));
     }
-    let Some(view) = accessor.view() else { return Ok(vec![[0; N]; accessor.count()]) };
-    let size = accessor.data_type().size();
-    let stride = view.stride().unwrap_or(size * N);
-    let bytes = slice(&view, buffers).ok_or_else(|| fault(outside(&view)))?;
+    let Some(elements) = Elements::of::<N>(accessor, buffers).map_err(fault)? else { return Ok(vec![[0; N]; accessor.count()]) };
     let element = |i: usize| {
-        let at = i.checked_mul(stride)?.checked_add(accessor.offset())?;
-        let element = bytes.get(at..at.checked_add(size * N)?)?;
         let mut out = [0; N];
-        for (to, component) in out.iter_mut().zip(element.chunks_exact(size)) {
+        for (to, component) in out.iter_mut().zip(elements.get(i)?.chunks_exact(accessor.data_type().size())) {
             *to = component.iter().rev().fold(0, |value, byte| value << 8 | u32::from(*byte));
         }
         Some(out)
     };
-    (0..accessor.count())
-        .map(|i| {
-            element(i).ok_or_else(|| {
-                fault(format!(
-                    "element {i} of {} lies outside of buffer view {} of {} bytes",
-                    accessor.count(),
-                    view.index(),
-                    view.length()
-                ))
-            })
-        })
-        .collect()
+    (0..accessor.count()).map(|i| element(i).ok_or_else(|| fault(elements.beyond(i)))).collect()
 }
 
-fn outside(view: &gltf::buffer::View<'_>) -> String {
-    format!("buffer view {} lies outside of buffer {}", view.index(), view.buffer().index())
+/// Where an accessor's elements lie.
+struct Elements<'a> {
+    bytes: &'a [u8],
+    offset: usize,
+    stride: usize,
+    size: usize,
+    count: usize,
+    view: usize,
+}
+
+impl<'a> Elements<'a> {
+    /// Checked to be there to the last one, before anything is allocated for them; `None` where all are zero.
+    fn of<const N: usize>(accessor: &gltf::Accessor<'_>, buffers: &'a [Cow<'_, [u8]>]) -> Result<Option<Self>, String> {
+        let count = accessor.count();
+        if count.saturating_mul(N) > MAX_NUMBERS {
+            return Err(format!("{count} elements, at most {}", MAX_NUMBERS / N));
+        }
+        let Some(view) = accessor.view() else { return Ok(None) };
+        let bytes = slice(&view, buffers)
+            .ok_or_else(|| format!("buffer view {} lies outside of buffer {}", view.index(), view.buffer().index()))?;
+        let size = accessor.data_type().size() * N;
+        let elements = Self { bytes, offset: accessor.offset(), stride: view.stride().unwrap_or(size), size, count, view: view.index() };
+        match count.checked_sub(1) {
+            Some(last) if elements.get(last).is_none() => Err(elements.beyond(last)),
+            _ => Ok(Some(elements)),
+        }
+    }
+
+    fn get(&self, i: usize) -> Option<&'a [u8]> {
+        let at = i.checked_mul(self.stride)?.checked_add(self.offset)?;
+        self.bytes.get(at..at.checked_add(self.size)?)
+    }
+
+    fn beyond(&self, i: usize) -> String {
+        format!("element {i} of {} lies outside of buffer view {} of {} bytes", self.count, self.view, self.bytes.len())
+    }
 }
 
 /// The bytes of a buffer view.
@@ -104,12 +110,10 @@ pub(crate) fn slice<'a>(view: &gltf::buffer::View<'_>, buffers: &'a [Cow<'_, [u8
     buffers.get(view.buffer().index())?.get(view.offset()..view.offset().checked_add(view.length())?)
 }
 
-fn read<const N: usize>(bytes: &[u8], accessor: &gltf::Accessor<'_>, at: Option<usize>) -> Option<[f32; N]> {
-    let size = accessor.data_type().size();
-    let at = at?;
-    let element = bytes.get(at..at.checked_add(size * N)?)?;
+/// The components of one element.
+fn values<const N: usize>(bytes: &[u8], accessor: &gltf::Accessor<'_>) -> Option<[f32; N]> {
     let mut out = [0.0; N];
-    for (to, component) in out.iter_mut().zip(element.chunks_exact(size)) {
+    for (to, component) in out.iter_mut().zip(bytes.chunks_exact(accessor.data_type().size())) {
         *to = component_value(component, accessor.data_type(), accessor.normalized())?;
     }
     Some(out)
@@ -143,12 +147,13 @@ fn overlay<const N: usize>(
         IndexType::U16 => 2,
         IndexType::U32 => 4,
     };
+    let element = accessor.data_type().size() * N;
     for i in 0..sparse.count() {
         let start = indices.offset().checked_add(i.checked_mul(size)?)?;
         let index =
             index_bytes.get(start..start.checked_add(size)?)?.iter().rev().fold(0usize, |value, byte| value << 8 | usize::from(*byte));
-        let at = i.checked_mul(accessor.data_type().size() * N)?.checked_add(values.offset());
-        *out.get_mut(index)? = read(value_bytes, accessor, at)?;
+        let at = i.checked_mul(element)?.checked_add(values.offset())?;
+        *out.get_mut(index)? = self::values(value_bytes.get(at..at.checked_add(element)?)?, accessor)?;
     }
     Some(())
 }

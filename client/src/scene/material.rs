@@ -1,96 +1,232 @@
-//! Surfaces and textures of a model.
+//! Surfaces of a model.
 
 use std::borrow::Cow;
 
-use base64::Engine as _;
 use glam::Vec3;
-use mr360_shaders::colour::{srgb_decode, srgb_encode};
+use mr360_protocol::light::MAX_MAGNITUDE;
 
 use super::accessor::slice;
+use super::container::{Extras, FileTransform};
 use super::model::ModelError;
+use super::texture::{Content, MAX_IMAGES, MAX_TEXELS, Sampling, Texture, data_uri, decode, with_mips};
 
-/// Longest side of a texture, pixels.
-pub const MAX_TEXTURE_SIDE: u32 = 4096;
-/// Most images that a model may use.
-pub const MAX_IMAGES: usize = 32;
-/// Most pixels in all textures together, without their mips: eight of the largest. A few kilobytes of PNG can claim as many.
-pub const MAX_TEXELS: u64 = 8 * MAX_TEXTURE_SIDE as u64 * MAX_TEXTURE_SIDE as u64;
+/// How a surface covers what lies behind it (glTF 2.0, Sec. 3.9.4).
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum AlphaMode {
+    /// Wholly, whatever its alpha.
+    #[default]
+    Opaque,
+    /// Where alpha reaches this.
+    Mask(f32),
+    /// By its alpha.
+    Blend,
+}
+
+/// A texture as one surface uses it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TextureMap {
+    /// Index into the model's textures.
+    pub texture: usize,
+    /// Filters and edges.
+    pub sampling: Sampling,
+    /// By the second set of texture coordinates.
+    pub second_uv: bool,
+    /// Rows of the affine transform from the vertex's coordinates (u, v, 1) to the texture's.
+    pub transform: [Vec3; 2],
+}
+
+/// The transform that changes nothing.
+pub const PLAIN_UV: [Vec3; 2] = [Vec3::X, Vec3::Y];
 
 /// Metallic-roughness of one part.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Surface {
     /// Linear BT.709.
     pub base_color: Vec3,
+    /// In [0, 1]; counts with [`AlphaMode::Mask`] and [`AlphaMode::Blend`].
+    pub alpha: f32,
+    /// How it covers what lies behind.
+    pub alpha_mode: AlphaMode,
     /// Perceptual.
     pub roughness: f32,
     /// In [0, 1].
     pub metallic: f32,
+    /// Linear radiance of its own, 1 for the video's white.
+    pub emission: Vec3,
+    /// Shows its base colour in every light (`KHR_materials_unlit`).
+    pub unlit: bool,
     /// Clear, refracting.
     pub glass: bool,
     /// Seen from behind too.
     pub double_sided: bool,
-    /// sRGB colour that multiplies `base_color`; index into the model's textures.
-    pub base_color_texture: Option<usize>,
-    /// Roughness in green, metallic in blue; index into the model's textures.
-    pub metallic_roughness_texture: Option<usize>,
+    /// Multiplies the first two components of mapped normals.
+    pub normal_scale: f32,
+    /// Share of the occlusion map that counts, in [0, 1].
+    pub occlusion_strength: f32,
+    /// sRGB colour that multiplies `base_color`, and alpha that multiplies `alpha`.
+    pub base_color_texture: Option<TextureMap>,
+    /// Roughness in green, metallic in blue.
+    pub metallic_roughness_texture: Option<TextureMap>,
+    /// Directions in tangent space.
+    pub normal_texture: Option<TextureMap>,
+    /// Ambient light that is let through, in red.
+    pub occlusion_texture: Option<TextureMap>,
+    /// sRGB colour that multiplies `emission`.
+    pub emission_texture: Option<TextureMap>,
 }
 
-/// An image with all its mips, RGBA of 8 bits.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Texture {
-    /// Columns of the first level.
-    pub width: u32,
-    /// Rows of the first level.
-    pub height: u32,
-    /// Halved until 1 × 1.
-    pub levels: Vec<Vec<u8>>,
-    /// Holds colour, not data.
-    pub srgb: bool,
-    /// Mean of the first three channels, linear.
-    pub mean: Vec3,
+impl Default for Surface {
+    fn default() -> Self {
+        Self {
+            base_color: Vec3::ONE,
+            alpha: 1.0,
+            alpha_mode: AlphaMode::Opaque,
+            roughness: 1.0,
+            metallic: 0.0,
+            emission: Vec3::ZERO,
+            unlit: false,
+            glass: false,
+            double_sided: false,
+            normal_scale: 1.0,
+            occlusion_strength: 1.0,
+            base_color_texture: None,
+            metallic_roughness_texture: None,
+            normal_texture: None,
+            occlusion_texture: None,
+            emission_texture: None,
+        }
+    }
+}
+
+impl Surface {
+    /// The textures it uses, in the order of the shaders: base colour, metallic-roughness, normal, occlusion, emission.
+    #[must_use]
+    pub fn textures(&self) -> [Option<TextureMap>; 5] {
+        [self.base_color_texture, self.metallic_roughness_texture, self.normal_texture, self.occlusion_texture, self.emission_texture]
+    }
+}
+
+/// Where a texture is named, before it is read.
+struct Reference<'a> {
+    texture: gltf::Texture<'a>,
+    set: u32,
+    transform: Option<FileTransform>,
+}
+
+impl<'a> Reference<'a> {
+    fn of(info: &gltf::texture::Info<'a>) -> Self {
+        let transform = info.texture_transform().map(|t| FileTransform {
+            offset: t.offset(),
+            rotation: t.rotation(),
+            scale: t.scale(),
+            tex_coord: t.tex_coord(),
+        });
+        Self { texture: info.texture(), set: info.tex_coord(), transform }
+    }
+}
+
+/// Rows of KHR_texture_transform's translation × rotation × scale.
+fn rows(transform: &FileTransform) -> [Vec3; 2] {
+    let (sine, cosine) = transform.rotation.sin_cos();
+    let ([offset_u, offset_v], [scale_u, scale_v]) = (transform.offset, transform.scale);
+    [Vec3::new(cosine * scale_u, sine * scale_v, offset_u), Vec3::new(-sine * scale_u, cosine * scale_v, offset_v)]
 }
 
 /// Reads materials and the images they use; asks for each image once for each way it is used.
 pub(super) struct Materials<'a> {
     document: &'a gltf::Document,
     buffers: &'a [Cow<'a, [u8]>],
+    extras: &'a Extras,
     pub(super) textures: Vec<Texture>,
-    read: Vec<(usize, bool)>,
+    read: Vec<(usize, Content)>,
 }
 
 impl<'a> Materials<'a> {
-    pub(super) fn new(document: &'a gltf::Document, buffers: &'a [Cow<'a, [u8]>]) -> Self {
-        Self { document, buffers, textures: Vec::new(), read: Vec::new() }
+    pub(super) fn new(document: &'a gltf::Document, buffers: &'a [Cow<'a, [u8]>], extras: &'a Extras) -> Self {
+        Self { document, buffers, extras, textures: Vec::new(), read: Vec::new() }
     }
 
     pub(super) fn surface(&mut self, material: &gltf::Material<'_>) -> Result<Surface, ModelError> {
+        let fault = |fault: String| ModelError::Material { index: material.index(), fault };
         let pbr = material.pbr_metallic_roughness();
-        let [r, g, b, _] = pbr.base_color_factor();
-        let values = [r, g, b, pbr.metallic_factor(), pbr.roughness_factor()];
+        let [r, g, b, alpha] = pbr.base_color_factor();
+        let [red, green, blue] = material.emissive_factor();
+        let extras = material.index().and_then(|index| self.extras.materials.get(index)).cloned().unwrap_or_default();
+        let occlusion_strength = material.occlusion_texture().map_or(1.0, |occlusion| occlusion.strength());
+        let values = [r, g, b, alpha, pbr.metallic_factor(), pbr.roughness_factor(), red, green, blue, occlusion_strength];
         if !values.iter().all(|v| (0.0..=1.0).contains(v)) {
-            return Err(ModelError::Material { index: material.index(), fault: format!("factors {values:?} are not all within 0..1") });
+            return Err(fault(format!("factors {values:?} are not all within 0..1")));
         }
-        let mut texture = |info: Option<gltf::texture::Info<'_>>, srgb| match info {
-            Some(info) if info.tex_coord() != 0 => Err(ModelError::Material {
-                index: material.index(),
-                fault: "uses a second set of texture coordinates; only TEXCOORD_0 is read".to_owned(),
-            }),
-            Some(info) => self.texture(info.texture().source().index(), srgb).map(Some),
-            None => Ok(None),
+        let normal_scale = material.normal_texture().map_or(1.0, |normal| normal.scale());
+        let (strength, cutoff) = (extras.emissive_strength(), material.alpha_cutoff().unwrap_or(0.5));
+        if !(normal_scale.is_finite() && strength.is_finite() && strength >= 0.0 && cutoff.is_finite() && cutoff >= 0.0) {
+            return Err(fault(format!(
+                "normal scale {normal_scale}, emissive strength {strength} or alpha cutoff {cutoff} is not a finite number from 0 on"
+            )));
+        }
+        let plain = |info: Option<gltf::texture::Info<'a>>| info.map(|info| Reference::of(&info));
+        let normal = self.own(material).and_then(|m| m.normal_texture()).map(|normal| Reference {
+            texture: normal.texture(),
+            set: normal.tex_coord(),
+            transform: extras.normal_texture.transform(),
+        });
+        let occlusion = self.own(material).and_then(|m| m.occlusion_texture()).map(|occlusion| Reference {
+            texture: occlusion.texture(),
+            set: occlusion.tex_coord(),
+            transform: extras.occlusion_texture.transform(),
+        });
+        let own = self.own(material);
+        let base_color = plain(own.as_ref().and_then(|m| m.pbr_metallic_roughness().base_color_texture()));
+        let metallic_roughness = plain(own.as_ref().and_then(|m| m.pbr_metallic_roughness().metallic_roughness_texture()));
+        let emission = plain(own.as_ref().and_then(gltf::Material::emissive_texture));
+        let mut map = |reference: Option<Reference<'a>>, content| {
+            reference.map(|reference| self.map(material.index(), &reference, content)).transpose()
         };
         Ok(Surface {
             base_color: Vec3::new(r, g, b),
+            alpha,
+            alpha_mode: match material.alpha_mode() {
+                gltf::material::AlphaMode::Opaque => AlphaMode::Opaque,
+                gltf::material::AlphaMode::Mask => AlphaMode::Mask(cutoff),
+                gltf::material::AlphaMode::Blend => AlphaMode::Blend,
+            },
             roughness: pbr.roughness_factor(),
             metallic: pbr.metallic_factor(),
+            emission: (Vec3::new(red, green, blue) * strength).min(Vec3::splat(MAX_MAGNITUDE)),
+            unlit: material.unlit(),
             glass: material.transmission().is_some_and(|transmission| transmission.transmission_factor() > 0.5),
             double_sided: material.double_sided(),
-            base_color_texture: texture(pbr.base_color_texture(), true)?,
-            metallic_roughness_texture: texture(pbr.metallic_roughness_texture(), false)?,
+            normal_scale,
+            occlusion_strength,
+            base_color_texture: map(base_color, Content::Colour)?,
+            metallic_roughness_texture: map(metallic_roughness, Content::Data)?,
+            normal_texture: map(normal, Content::Normals)?,
+            occlusion_texture: map(occlusion, Content::Data)?,
+            emission_texture: map(emission, Content::Colour)?,
         })
     }
 
-    fn texture(&mut self, image: usize, srgb: bool) -> Result<usize, ModelError> {
-        if let Some(at) = self.read.iter().position(|key| *key == (image, srgb)) {
+    /// The same material, with the document's lifetime.
+    fn own(&self, material: &gltf::Material<'_>) -> Option<gltf::Material<'a>> {
+        self.document.materials().nth(material.index()?)
+    }
+
+    fn map(&mut self, material: Option<usize>, reference: &Reference<'_>, content: Content) -> Result<TextureMap, ModelError> {
+        let set = reference.transform.as_ref().and_then(|transform| transform.tex_coord).unwrap_or(reference.set);
+        let fault = |fault: String| ModelError::Material { index: material, fault };
+        if set > 1 {
+            return Err(fault(format!("uses texture coordinates {set}; only TEXCOORD_0 and TEXCOORD_1 are read")));
+        }
+        let transform = reference.transform.as_ref().map_or(PLAIN_UV, rows);
+        if !transform.iter().all(|row| row.is_finite()) {
+            return Err(fault("its texture transform is not finite".to_owned()));
+        }
+        let texture = self.texture(reference.texture.source().index(), content)?;
+        Ok(TextureMap { texture, sampling: Sampling::from(&reference.texture.sampler()), second_uv: set == 1, transform })
+    }
+
+    fn texture(&mut self, image: usize, content: Content) -> Result<usize, ModelError> {
+        if let Some(at) = self.read.iter().position(|key| *key == (image, content)) {
             return Ok(at);
         }
         let fault = |fault: String| ModelError::Image { index: image, fault };
@@ -109,86 +245,8 @@ impl<'a> Materials<'a> {
             gltf::image::Source::Uri { uri, .. } => decode(&data_uri(uri).map_err(fault)?, room),
         };
         let (width, height, pixels) = pixels.map_err(fault)?;
-        self.textures.push(with_mips(width, height, pixels, srgb));
-        self.read.push((image, srgb));
+        self.textures.push(with_mips(width, height, pixels, content));
+        self.read.push((image, content));
         Ok(self.textures.len() - 1)
-    }
-}
-
-/// The bytes of a `data:…;base64,…` URI.
-pub(super) fn data_uri(uri: &str) -> Result<Vec<u8>, String> {
-    let shown: String = uri.chars().take(60).collect();
-    let rest = uri.strip_prefix("data:").ok_or_else(|| format!("lies in another file, {shown:?}; embed it, as a .glb does"))?;
-    let (_, text) = rest.split_once(";base64,").ok_or_else(|| format!("has a data URI that is not base64: {shown:?}"))?;
-    base64::engine::general_purpose::STANDARD.decode(text).map_err(|error| format!("has broken base64: {error}"))
-}
-
-/// Decodes a PNG or JPEG of at most `room` pixels; its size is known before anything is allocated for it.
-fn decode(bytes: &[u8], room: u64) -> Result<(u32, u32, Vec<u8>), String> {
-    let open = || image::ImageReader::new(std::io::Cursor::new(bytes)).with_guessed_format().map_err(|error| error.to_string());
-    let reader = open()?;
-    if !matches!(reader.format(), Some(image::ImageFormat::Png | image::ImageFormat::Jpeg)) {
-        return Err("neither PNG nor JPEG".to_owned());
-    }
-    let (width, height) = reader.into_dimensions().map_err(|error| error.to_string())?;
-    if width > MAX_TEXTURE_SIDE || height > MAX_TEXTURE_SIDE {
-        return Err(format!("{width}×{height} pixels; at most {MAX_TEXTURE_SIDE} pixels on a side are read"));
-    }
-    if u64::from(width) * u64::from(height) > room {
-        return Err(format!("brings the textures to more than {MAX_TEXELS} pixels; use smaller images"));
-    }
-    let mut reader = open()?;
-    let mut limits = image::Limits::default();
-    limits.max_image_width = Some(MAX_TEXTURE_SIDE);
-    limits.max_image_height = Some(MAX_TEXTURE_SIDE);
-    reader.limits(limits);
-    let pixels = reader.decode().map_err(|error| error.to_string())?.into_rgba8();
-    Ok((pixels.width(), pixels.height(), pixels.into_raw()))
-}
-
-fn with_mips(width: u32, height: u32, pixels: Vec<u8>, srgb: bool) -> Texture {
-    let to_linear: [f32; 256] = std::array::from_fn(|code| {
-        let value = code as f32 / 255.0;
-        if srgb { srgb_decode(value) } else { value }
-    });
-    let to_code = |value: f32| ((if srgb { srgb_encode(value) } else { value }) * 255.0 + 0.5) as u8;
-    let mut levels = vec![pixels];
-    let (mut w, mut h) = (width as usize, height as usize);
-    while w > 1 || h > 1 {
-        let Some(finer) = levels.last() else { break };
-        let (next_w, next_h) = ((w / 2).max(1), (h / 2).max(1));
-        let mut coarser = Vec::with_capacity(next_w * next_h * 4);
-        for (y, x) in (0..next_h).flat_map(|y| (0..next_w).map(move |x| (y, x))) {
-            let corner = |dy: usize, dx: usize| ((2 * y + dy).min(h - 1) * w + (2 * x + dx).min(w - 1)) * 4;
-            let corners = [corner(0, 0), corner(0, 1), corner(1, 0), corner(1, 1)];
-            for channel in 0..3 {
-                coarser.push(to_code(corners.iter().map(|at| to_linear[usize::from(finer[at + channel])]).sum::<f32>() / 4.0));
-            }
-            coarser.push((corners.iter().map(|at| u32::from(finer[at + 3])).sum::<u32>() / 4) as u8);
-        }
-        levels.push(coarser);
-        (w, h) = (next_w, next_h);
-    }
-    let last = levels.last().map_or([255; 4], |level| [0, 1, 2, 3].map(|i| level.get(i).copied().unwrap_or(255)));
-    let mean = Vec3::from_array([0, 1, 2].map(|i| to_linear[usize::from(last[i])]));
-    Texture { width, height, levels, srgb, mean }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn an_image_takes_no_more_than_the_room_that_is_left() {
-        let mut png = std::io::Cursor::new(Vec::new());
-        image::RgbImage::from_pixel(8, 4, image::Rgb([200, 0, 0])).write_to(&mut png, image::ImageFormat::Png).unwrap();
-        let (width, height, texels) = decode(png.get_ref(), 32).unwrap();
-        assert_eq!((width, height, texels.len()), (8, 4, 128));
-        let error = decode(png.get_ref(), 31).unwrap_err();
-        assert!(error.contains("more than") && error.contains("smaller images"), "{error}");
-        let wide = image::GrayImage::new(MAX_TEXTURE_SIDE + 1, 1);
-        let mut png = std::io::Cursor::new(Vec::new());
-        wide.write_to(&mut png, image::ImageFormat::Png).unwrap();
-        assert!(decode(png.get_ref(), MAX_TEXELS).unwrap_err().contains("4097×1"));
     }
 }

@@ -22,6 +22,12 @@ impl Bounds {
         Self { min: self.min.min(point), max: self.max.max(point) }
     }
 
+    /// Grown to hold another box.
+    #[must_use]
+    pub fn joined(self, other: &Self) -> Self {
+        Self { min: self.min.min(other.min), max: self.max.max(other.max) }
+    }
+
     /// Centre.
     #[must_use]
     pub fn center(&self) -> Vec3 {
@@ -58,19 +64,5 @@ impl Mesh {
     #[must_use]
     pub fn bounds(&self) -> Bounds {
         self.vertices.iter().fold(Bounds::EMPTY, |bounds, vertex| bounds.including(Vec3::from_array(vertex.position)))
-    }
-
-    /// The same triangles with corners of their own and the normal of their plane, as glTF asks for where a
-    /// primitive has no normals.
-    #[must_use]
-    pub fn flat_shaded(&self) -> Self {
-        let mut flat = Self { vertices: Vec::with_capacity(self.indices.len()), indices: (0..self.indices.len() as u32).collect() };
-        for corners in self.indices.chunks_exact(3) {
-            let [a, b, c] = [0, 1, 2].map(|i| self.vertices[corners[i] as usize]);
-            let [pa, pb, pc] = [a, b, c].map(|v| Vec3::from_array(v.position));
-            let normal = (pb - pa).cross(pc - pa).normalize_or(Vec3::Y).to_array();
-            flat.vertices.extend([a, b, c].map(|v| Vertex { normal, ..v }));
-        }
-        flat
     }
 }

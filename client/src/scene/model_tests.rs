@@ -4,7 +4,8 @@ use base64::Engine as _;
 use glam::Vec3;
 use serde_json::{Value, json};
 
-use super::model::{MAX_NODE_DEPTH, Model, ModelError};
+use super::hierarchy::MAX_NODE_DEPTH;
+use super::model::{Model, ModelError};
 
 /// One triangle with indices; positions at byte 0, indices (u16) at 36.
 fn triangle() -> (Value, Vec<u8>) {

@@ -38,6 +38,13 @@ pub(super) fn touched(camera: &Camera, size: (u32, u32), stage: &Stage, ground: 
     Some(Part { origin: (columns.0, rows.0), size: (columns.1, rows.1) })
 }
 
+/// True unless a box lies wholly outside of an image of this size.
+pub(super) fn in_view(camera: &Camera, size: (u32, u32), bounds: &Bounds) -> bool {
+    let clip_from_world = camera.clip_from_view(size.0.max(1) as f32 / size.1.max(1) as f32) * camera.view_from_world();
+    box_in_ndc(&clip_from_world, bounds)
+        .is_some_and(|seen| seen.min.truncate().max_element() < 1.0 && seen.max.truncate().min_element() > -1.0)
+}
+
 /// Normalised device coordinates of a box: the whole plane where it reaches behind the camera, nothing where it
 /// lies wholly behind.
 fn box_in_ndc(clip_from_world: &Mat4, bounds: &Bounds) -> Option<Bounds> {

@@ -1,4 +1,5 @@
-//! Glass, drawn after everything else: its far sides first, then its near ones, which see them and all that was drawn before.
+//! Glass, drawn after everything else but what is blended before it: its far sides first, then its near ones, which see them and
+//! all that was drawn before.
 
 use mr360_shaders::source::Surface;
 
@@ -53,7 +54,7 @@ impl Renderer {
             if let Some(Ok(model)) = self.models.get(&draw.geometry)
                 && let Some(part) = model.parts.get(draw.part)
             {
-                draw_part(&mut pass, part, draw);
+                draw_part(&mut pass, model, part, draw);
                 report.draws += 1;
             }
         }
@@ -93,13 +94,14 @@ impl Renderer {
         pass.set_bind_group(1, environment.bind_group(), &[]);
         pass.set_bind_group(2, environment.reflection_bind_group(), &[]);
         for draw in self.stage.draws.iter().filter(|draw| is_glass(draw)) {
-            let Some(Ok(model)) = self.models.get(&draw.geometry) else { continue };
-            let Some(part) = model.parts.get(draw.part) else { continue };
-            let Some(pipeline) = self.pipelines.get(kind, Use::Glass { textured: draw.textured }) else { continue };
-            pass.set_pipeline(pipeline);
-            pass.set_bind_group(3, if draw.textured { &part.material } else { self.models.plain() }, &[]);
-            draw_part(&mut pass, part, draw);
-            report.draws += 1;
+            report.draws += self.draw_object(&mut pass, kind, draw);
+        }
+        let (_, nearer) = self.stage.blended(view.camera.position);
+        if !nearer.is_empty() {
+            pass.set_bind_group(0, &self.resources.frame, &[at as u32 * VIEW_STRIDE]);
+        }
+        for draw in nearer {
+            report.draws += self.draw_object(&mut pass, kind, draw);
         }
     }
 }

@@ -11,12 +11,16 @@ mod extent;
 mod glass;
 #[cfg(test)]
 mod glass_tests;
+mod material;
+#[cfg(test)]
+mod material_tests;
 mod models;
 mod pipelines;
 mod place;
 #[cfg(test)]
 mod place_tests;
 pub mod plan;
+mod poses;
 #[cfg(test)]
 mod probe_tests;
 #[cfg(test)]
@@ -33,17 +37,20 @@ mod stage;
 mod tests;
 pub mod timing;
 
+use std::collections::HashSet;
+
 use glam::Vec3;
 use mr360_protocol::asset::AssetId;
 use mr360_protocol::light::LightFrame;
-use mr360_protocol::scene::{ObjectId, Scene};
+use mr360_protocol::scene::{Geometry, ObjectId, Scene};
 use mr360_shaders::layout;
-use mr360_shaders::source::Reflections;
+use mr360_shaders::source::{Alpha, Reflections};
 
 use crate::camera::Camera;
 use crate::environment::{Environment, FrameLight};
 use crate::governor::Tier;
 use crate::gpu::{Gpu, GpuError};
+use crate::scene::mesh::Bounds;
 use crate::scene::model::LoadedModel;
 use crate::scene::pick::{Ray, nearest};
 use crate::stats::PassTime;
@@ -51,7 +58,7 @@ use crate::stats::PassTime;
 pub use plan::Plan;
 pub use stage::{Element, ModelFault, SceneWarning};
 
-use extent::{Part, touched};
+use extent::{Part, in_view, touched};
 use glass::is_glass;
 use models::Models;
 use pipelines::{Kind, Layouts, Pipelines, Use};
@@ -63,7 +70,8 @@ use stage::Stage;
 use timing::PassTimer;
 
 /// Passes that a frame may have.
-pub const PASSES: [&str; 21] = [
+pub const PASSES: [&str; 22] = [
+    "deform",
     SHADOWS[0],
     SHADOWS[1],
     SHADOWS[2],
@@ -139,6 +147,8 @@ pub struct Renderer {
     current: FrameLight,
     visible: bool,
     reflections: Reflections,
+    /// Of the picture: when its animations are.
+    time_us: u64,
     /// By view.
     layers: Vec<(Room, Layer)>,
     tier: Tier,
@@ -163,7 +173,7 @@ impl Renderer {
         let layouts = Layouts::new(&gpu.device);
         let pipelines = Pipelines::new(gpu, &layouts, format)?;
         let resources = Resources::new(&gpu.device, &layouts);
-        let models = Models::new(gpu, &layouts.material);
+        let models = Models::new(gpu, &layouts.material)?;
         let timer = PassTimer::new(gpu);
         Ok(Self {
             layouts,
@@ -177,6 +187,7 @@ impl Renderer {
             current: FrameLight::default(),
             visible: true,
             reflections: Reflections::default(),
+            time_us: 0,
             layers: Vec::new(),
             tier: Tier::FULL,
             samples: 0,
@@ -215,6 +226,12 @@ impl Renderer {
     pub fn set_reflections(&mut self, method: Reflections) {
         self.reflections = method;
         self.unreflected = u32::MAX;
+    }
+
+    /// Shows animated models in their pose of this time from the next frame on: the pts of the environment's picture. They move
+    /// at the video's rate, as if the camera had filmed them, and every viewer sees the same pose with the same picture.
+    pub fn set_time(&mut self, pts_us: u64) {
+        self.time_us = pts_us;
     }
 
     /// Takes the light that belongs to the environment's picture.
@@ -287,8 +304,7 @@ impl Renderer {
         let place = self.place_frusta(frusta.len());
         self.resources.write_frame(gpu, &self.stage, (&self.current, &self.reflected), (&frusta, &place), plan.occlusion);
         let mut report = FrameReport { plan, ..FrameReport::default() };
-        self.draw_shadows(encoder, &frusta, &mut report);
-        self.draw_place_shadows(encoder, place, &mut report);
+        self.pose(gpu, encoder, plan, views);
         let kind = Kind {
             video: environment.kind(),
             sh_count: self.current.sh_count,
@@ -297,6 +313,8 @@ impl Renderer {
             place: !self.stage.place.draws.is_empty(),
         };
         self.prepare(gpu, kind, plan);
+        self.draw_shadows(encoder, &frusta, &mut report);
+        self.draw_place_shadows(encoder, place, &mut report);
         if plan.objects && self.samples != plan.samples {
             self.samples = plan.samples;
             self.layers.clear();
@@ -321,8 +339,26 @@ impl Renderer {
         report
     }
 
+    /// Brings animated models that this frame shows into their pose, and has the shadow maps drawn anew where one moved. A shadow
+    /// may fall into a view that its object is outside of.
+    fn pose(&mut self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder, plan: Plan, views: &[View<'_>]) {
+        let Self { stage, models, timer, time_us, shadows, .. } = self;
+        if !plan.objects || stage.animated.is_empty() {
+            return;
+        }
+        let seen = |bounds: &Bounds| plan.shadows > 0 || views.iter().any(|view| in_view(&view.camera, view.size, bounds));
+        let shown: HashSet<(Geometry, usize)> =
+            stage.animated.iter().filter(|(.., bounds)| seen(bounds)).map(|(geometry, animation, _)| (*geometry, *animation)).collect();
+        if models.deform(gpu, encoder, timer, *time_us, &|geometry, animation| shown.contains(&(*geometry, animation))) {
+            *shadows = [None; plan::MAX_SHADOWS];
+        }
+    }
+
     /// Makes what pipelines this frame needs and earlier ones did not.
     fn prepare(&mut self, gpu: &Gpu, kind: Kind, plan: Plan) {
+        if plan.shadows > 0 {
+            self.stage.draws.iter().for_each(|draw| self.pipelines.prepare_caster(gpu, &self.layouts, draw.surface, draw.look));
+        }
         let objects = self.stage.draws.iter().map(object_use);
         let others = [
             (Use::Composite, true),
@@ -371,8 +407,12 @@ impl Renderer {
                 if let Some(Ok(model)) = self.models.get(&draw.geometry)
                     && let Some(part) = model.parts.get(draw.part)
                 {
-                    pass.set_pipeline(if is_glass(draw) { &self.pipelines.sheer_caster } else { &self.pipelines.caster });
-                    draw_part(&mut pass, part, draw);
+                    let (pipeline, with_material) = self.pipelines.caster(draw.surface, draw.look);
+                    pass.set_pipeline(pipeline);
+                    if with_material {
+                        pass.set_bind_group(3, &part.material, &[]);
+                    }
+                    draw_part(&mut pass, model, part, draw);
                     report.draws += 1;
                 }
             }
@@ -415,14 +455,8 @@ impl Renderer {
         pass.set_bind_group(0, &self.resources.frame, &[at as u32 * VIEW_STRIDE]);
         pass.set_bind_group(1, environment.bind_group(), &[]);
         pass.set_bind_group(2, environment.reflection_bind_group(), &[]);
-        for draw in self.stage.draws.iter().filter(|draw| !is_glass(draw)) {
-            let Some(Ok(model)) = self.models.get(&draw.geometry) else { continue };
-            let Some(part) = model.parts.get(draw.part) else { continue };
-            let Some(pipeline) = self.pipelines.get(kind, object_use(draw)) else { continue };
-            pass.set_pipeline(pipeline);
-            pass.set_bind_group(3, if draw.textured { &part.material } else { self.models.plain() }, &[]);
-            draw_part(&mut pass, part, draw);
-            report.draws += 1;
+        for draw in self.stage.draws.iter().filter(|draw| draw.look.alpha != Alpha::Blend && !is_glass(draw)) {
+            report.draws += self.draw_object(&mut pass, kind, draw);
         }
         report.triangles += self.stage.triangles;
         self.draw_place(&mut pass, kind, report);
@@ -436,6 +470,21 @@ impl Renderer {
                 report.draws += 1;
             }
         }
+        // Over all that covers, ground too, which writes what is changed and not what is added to it.
+        for draw in self.stage.blended(view.camera.position).0 {
+            report.draws += self.draw_object(&mut pass, kind, draw);
+        }
+    }
+
+    /// Draws one, if its pipeline and model are there; the groups of frame, environment and reflections are set. Returns the draw calls.
+    fn draw_object(&self, pass: &mut wgpu::RenderPass<'_>, kind: Kind, draw: &stage::Draw) -> u32 {
+        let Some(Ok(model)) = self.models.get(&draw.geometry) else { return 0 };
+        let Some(part) = model.parts.get(draw.part) else { return 0 };
+        let Some(pipeline) = self.pipelines.get(kind, object_use(draw)) else { return 0 };
+        pass.set_pipeline(pipeline);
+        pass.set_bind_group(3, if draw.own_material { &part.material } else { self.models.plain() }, &[]);
+        draw_part(pass, model, part, draw);
+        1
     }
 
     fn composite(
@@ -483,13 +532,16 @@ fn look_into(pass: &mut wgpu::RenderPass<'_>, view: &View<'_>, part: Part) {
 
 fn object_use(draw: &stage::Draw) -> Use {
     if is_glass(draw) {
-        return Use::Glass { textured: draw.textured };
+        return Use::Glass { look: draw.look };
     }
-    Use::Object { surface: draw.surface, textured: draw.textured, double_sided: draw.double_sided }
+    Use::Object { surface: draw.surface, look: draw.look, double_sided: draw.double_sided }
 }
 
-fn draw_part(pass: &mut wgpu::RenderPass<'_>, part: &models::GpuPart, draw: &stage::Draw) {
-    pass.set_vertex_buffer(0, part.vertices.slice(..));
+fn draw_part(pass: &mut wgpu::RenderPass<'_>, model: &models::GpuModel, part: &models::GpuPart, draw: &stage::Draw) {
+    pass.set_vertex_buffer(0, model.vertices(draw.part, part, draw.animation).slice(..));
+    if let Some(details) = part.details.as_ref().filter(|_| draw.look.detailed) {
+        pass.set_vertex_buffer(1, details.slice(..));
+    }
     pass.set_index_buffer(part.indices.slice(..), wgpu::IndexFormat::Uint32);
     pass.draw_indexed(0..part.index_count, 0, draw.instances.clone());
 }

@@ -1,61 +1,109 @@
 //! Geometry on the GPU, once for each shape or model, whatever the number of objects that show it.
 
 use std::collections::{HashMap, HashSet};
+use std::sync::Arc;
 
 use glam::Vec3;
 use mr360_protocol::asset::AssetId;
-use mr360_protocol::scene::{Geometry, Scene, Shape};
-use wgpu::util::DeviceExt as _;
+use mr360_protocol::scene::{Geometry, Object, Playback, Scene, Shape};
 
-use crate::gpu::Gpu;
-use crate::scene::material::{Surface, Texture};
-use crate::scene::mesh::{Bounds, Mesh};
-use crate::scene::model::{LoadedModel, Model, ModelError};
+use super::material::{Look, Materials, upload};
+use super::poses::{Deformer, MAX_POSED_VERTICES, Playing, Sources};
+use super::stage::ModelFault;
+use super::timing::PassTimer;
+use crate::gpu::{Gpu, GpuError};
+use crate::scene::material::Surface;
+use crate::scene::mesh::Bounds;
+use crate::scene::model::{LoadedModel, Model, ModelError, Part};
+use crate::scene::rig::Rig;
 use crate::scene::shapes;
 
 /// One draw's worth of geometry.
 pub(super) struct GpuPart {
     pub(super) vertices: wgpu::Buffer,
+    pub(super) details: Option<wgpu::Buffer>,
     pub(super) indices: wgpu::Buffer,
     pub(super) index_count: u32,
     pub(super) surface: Surface,
-    /// The file's textures.
+    pub(super) look: Look,
+    /// The file's textures and factors.
     pub(super) material: wgpu::BindGroup,
+    /// Of its bounds, at rest.
+    pub(super) center: Vec3,
 }
 
 /// A shape or a model.
 pub(super) struct GpuModel {
     pub(super) parts: Vec<GpuPart>,
-    pub(super) bounds: Bounds,
+    bounds: Bounds,
     /// A ball that fills its bounds.
     pub(super) round: bool,
     /// Mean reflectance of the file's surfaces.
     pub(super) albedo: Vec3,
+    source: Option<Arc<Model>>,
+    /// Made for the first animation that is played.
+    sources: Option<Sources>,
+    /// The animations that objects play just now.
+    playing: HashMap<usize, Playing>,
+}
+
+impl GpuModel {
+    fn rig(&self) -> Option<&Rig> {
+        self.source.as_ref()?.rig.as_ref()
+    }
+
+    /// Around all parts: at rest, or in all poses of an animation.
+    pub(super) fn bounds(&self, animation: Option<usize>) -> Bounds {
+        animation.and_then(|at| self.rig()?.bounds.get(at).copied()).unwrap_or(self.bounds)
+    }
+
+    /// Which animation an object plays; `None` for none.
+    ///
+    /// # Errors
+    /// [`ModelFault::NoSuchAnimation`] with the names that there are.
+    pub(super) fn animation(&self, playback: &Playback) -> Result<Option<usize>, ModelFault> {
+        let animations = self.rig().map_or(&[][..], |rig| &rig.animations);
+        match playback {
+            Playback::Still => Ok(None),
+            Playback::First => Ok((!animations.is_empty()).then_some(0)),
+            Playback::Named(name) => match animations.iter().position(|animation| animation.name == *name) {
+                Some(at) => Ok(Some(at)),
+                None => {
+                    let names = animations.iter().map(|animation| animation.name.clone()).collect();
+                    Err(ModelFault::NoSuchAnimation { name: name.clone(), names })
+                }
+            },
+        }
+    }
+
+    /// False for an animation that would take more memory than there is for all.
+    pub(super) fn plays(&self, animation: usize) -> bool {
+        self.playing.contains_key(&animation) || self.rig().is_none_or(|rig| rig.moving.is_empty())
+    }
+
+    fn posed_vertices(&self) -> usize {
+        self.sources.as_ref().map_or(0, Sources::vertices)
+    }
+
+    /// Vertices of a part, deformed where an animation moves it.
+    pub(super) fn vertices<'a>(&'a self, at: usize, part: &'a GpuPart, animation: Option<usize>) -> &'a wgpu::Buffer {
+        animation.and_then(|animation| self.playing.get(&animation)?.vertices(at)).unwrap_or(&part.vertices)
+    }
 }
 
 /// Everything that has been loaded and is still in the scene.
 pub(super) struct Models {
-    layout: wgpu::BindGroupLayout,
-    sampler: wgpu::Sampler,
-    white: wgpu::TextureView,
+    materials: Materials,
     plain: wgpu::BindGroup,
+    deformer: Deformer,
     loaded: HashMap<Geometry, Result<GpuModel, ModelError>>,
 }
 
 impl Models {
-    pub(super) fn new(gpu: &Gpu, layout: &wgpu::BindGroupLayout) -> Self {
-        let sampler = gpu.device.create_sampler(&wgpu::SamplerDescriptor {
-            label: Some("material"),
-            address_mode_u: wgpu::AddressMode::Repeat,
-            address_mode_v: wgpu::AddressMode::Repeat,
-            mag_filter: wgpu::FilterMode::Linear,
-            min_filter: wgpu::FilterMode::Linear,
-            mipmap_filter: wgpu::MipmapFilterMode::Linear,
-            ..wgpu::SamplerDescriptor::default()
-        });
-        let white = upload(gpu, &Texture { width: 1, height: 1, levels: vec![vec![255; 4]], srgb: false, mean: Vec3::ONE });
-        let plain = material_group(&gpu.device, layout, &white, &white, &sampler);
-        Self { layout: layout.clone(), sampler, white, plain, loaded: HashMap::new() }
+    pub(super) fn new(gpu: &Gpu, layout: &wgpu::BindGroupLayout) -> Result<Self, GpuError> {
+        let mut materials = Materials::new(gpu, layout);
+        let plain = materials.group(gpu, &Surface::default(), &[]);
+        Ok(Self { materials, plain, deformer: Deformer::new(gpu)?, loaded: HashMap::new() })
     }
 
     /// Uploads what the scene newly names and drops what it no longer does. A model that has not come yet is asked
@@ -71,12 +119,52 @@ impl Models {
             let loaded = match geometry {
                 Geometry::Shape(shape) => Ok(self.shape(gpu, shape)),
                 Geometry::Model(id) => match model(id) {
-                    Some(model) => model.map(|model| self.model(gpu, &model)),
+                    Some(model) => model.map(|model| self.model(gpu, model)),
                     None => continue,
                 },
             };
             self.loaded.insert(geometry, loaded);
         }
+        self.follow_animations(gpu, &scene.objects);
+    }
+
+    fn follow_animations(&mut self, gpu: &Gpu, objects: &[Object]) {
+        let animation_of = |model: &GpuModel, object: &Object| model.animation(&object.animation).ok().flatten();
+        for (geometry, model) in &mut self.loaded {
+            let Ok(model) = model else { continue };
+            let own = objects.iter().filter(|object| object.geometry == *geometry);
+            let wanted: Vec<usize> = own.filter_map(|object| animation_of(model, object)).collect();
+            model.playing.retain(|animation, _| wanted.contains(animation));
+        }
+        let models = self.loaded.values().filter_map(|model| model.as_ref().ok());
+        let mut posed: usize = models.map(|model| model.posed_vertices() * model.playing.len()).sum();
+        for object in objects {
+            let Some(Ok(model)) = self.loaded.get_mut(&object.geometry) else { continue };
+            let Some(animation) = animation_of(model, object).filter(|animation| !model.plays(*animation)) else { continue };
+            let Some(source) = model.source.clone() else { continue };
+            let Some(rig) = &source.rig else { continue };
+            let sources = model.sources.get_or_insert_with(|| Sources::new(gpu, rig));
+            if posed + sources.vertices() <= MAX_POSED_VERTICES {
+                posed += sources.vertices();
+                model.playing.insert(animation, Playing::new(gpu, &self.deformer, sources, &source, rig, animation));
+            }
+        }
+    }
+
+    /// Records the poses of the animations that are `wanted`, for a time of the broadcast; returns whether one changed.
+    pub(super) fn deform(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        timer: &mut PassTimer,
+        time_us: u64,
+        wanted: &dyn Fn(&Geometry, usize) -> bool,
+    ) -> bool {
+        let models = self.loaded.iter_mut().filter_map(|(geometry, model)| Some((geometry, model.as_mut().ok()?)));
+        let playing = models.flat_map(|(geometry, model)| {
+            model.playing.iter_mut().filter(|(animation, _)| wanted(geometry, **animation)).map(|(_, playing)| playing)
+        });
+        self.deformer.record(gpu, encoder, timer, time_us, playing)
     }
 
     /// `None` while the asset has not come.
@@ -91,84 +179,51 @@ impl Models {
 
     fn shape(&self, gpu: &Gpu, shape: Shape) -> GpuModel {
         let mesh = shapes::mesh(shape);
-        let surface = Surface {
-            base_color: Vec3::splat(0.8),
-            roughness: 1.0,
-            metallic: 0.0,
-            glass: false,
-            double_sided: shape == Shape::Plane,
-            base_color_texture: None,
-            metallic_roughness_texture: None,
-        };
+        let surface = Surface { base_color: Vec3::splat(0.8), double_sided: shape == Shape::Plane, ..Surface::default() };
         let (bounds, albedo) = (mesh.bounds(), surface.base_color);
-        GpuModel { parts: vec![part(gpu, &mesh, surface, self.plain.clone())], bounds, round: shape == Shape::Sphere, albedo }
+        let one = Part { mesh, details: Vec::new(), surface };
+        let parts = vec![part(gpu, &one, self.plain.clone())];
+        GpuModel { parts, bounds, round: shape == Shape::Sphere, albedo, source: None, sources: None, playing: HashMap::new() }
     }
 
-    fn model(&self, gpu: &Gpu, model: &Model) -> GpuModel {
-        let Model { parts, textures, bounds } = model;
+    fn model(&mut self, gpu: &Gpu, model: Arc<Model>) -> GpuModel {
+        let Model { parts, textures, bounds, .. } = &*model;
         let views: Vec<_> = textures.iter().map(|texture| upload(gpu, texture)).collect();
-        let view = |at: Option<usize>| at.and_then(|at| views.get(at)).unwrap_or(&self.white);
         let mut albedo = Vec3::ZERO;
         let mut gpu_parts = Vec::with_capacity(parts.len());
         let total = parts.iter().map(|part| part.mesh.indices.len()).sum::<usize>().max(1) as f32;
         for one in parts {
-            let mean = one.surface.base_color_texture.and_then(|at| textures.get(at)).map_or(Vec3::ONE, |texture| texture.mean);
+            let texture = one.surface.base_color_texture.and_then(|map| textures.get(map.texture));
+            let mean = texture.map_or(Vec3::ONE, |texture| texture.mean);
             albedo += one.surface.base_color * mean * (one.mesh.indices.len() as f32 / total);
-            let (color, metallic_roughness) = (view(one.surface.base_color_texture), view(one.surface.metallic_roughness_texture));
-            let group = material_group(&gpu.device, &self.layout, color, metallic_roughness, &self.sampler);
-            gpu_parts.push(part(gpu, &one.mesh, one.surface.clone(), group));
+            let group = self.materials.group(gpu, &one.surface, &views);
+            gpu_parts.push(part(gpu, one, group));
         }
-        GpuModel { parts: gpu_parts, bounds: *bounds, round: false, albedo }
+        let bounds = *bounds;
+        let source = model.rig.is_some().then_some(model);
+        GpuModel { parts: gpu_parts, bounds, round: false, albedo, source, sources: None, playing: HashMap::new() }
     }
 }
 
-fn part(gpu: &Gpu, mesh: &Mesh, surface: Surface, material: wgpu::BindGroup) -> GpuPart {
-    // Not mapped to be filled, which panics where the device has just been lost.
-    let buffer = |label, contents: &[u8], usage| {
-        let (size, usage) = (contents.len() as u64, usage | wgpu::BufferUsages::COPY_DST);
-        let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false });
-        gpu.queue.write_buffer(&buffer, 0, contents);
-        buffer
-    };
+fn part(gpu: &Gpu, part: &Part, material: wgpu::BindGroup) -> GpuPart {
+    let Part { mesh, details, surface } = part;
+    let vertex = wgpu::BufferUsages::VERTEX;
     GpuPart {
-        vertices: buffer("vertices", bytemuck::cast_slice(&mesh.vertices), wgpu::BufferUsages::VERTEX),
-        indices: buffer("indices", bytemuck::cast_slice(&mesh.indices), wgpu::BufferUsages::INDEX),
+        vertices: filled(gpu, "vertices", bytemuck::cast_slice(&mesh.vertices), vertex),
+        details: (!details.is_empty()).then(|| filled(gpu, "vertex details", bytemuck::cast_slice(details), vertex)),
+        indices: filled(gpu, "indices", bytemuck::cast_slice(&mesh.indices), wgpu::BufferUsages::INDEX),
         index_count: mesh.indices.len() as u32,
-        surface,
+        look: Look::of(surface, details),
+        surface: surface.clone(),
         material,
+        center: mesh.bounds().center(),
     }
 }
 
-fn upload(gpu: &Gpu, texture: &Texture) -> wgpu::TextureView {
-    let descriptor = wgpu::TextureDescriptor {
-        label: Some("model texture"),
-        size: wgpu::Extent3d { width: texture.width, height: texture.height, depth_or_array_layers: 1 },
-        mip_level_count: texture.levels.len() as u32,
-        sample_count: 1,
-        dimension: wgpu::TextureDimension::D2,
-        format: if texture.srgb { wgpu::TextureFormat::Rgba8UnormSrgb } else { wgpu::TextureFormat::Rgba8Unorm },
-        usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
-        view_formats: &[],
-    };
-    let order = wgpu::util::TextureDataOrder::LayerMajor;
-    let made = gpu.device.create_texture_with_data(&gpu.queue, &descriptor, order, &texture.levels.concat());
-    made.create_view(&wgpu::TextureViewDescriptor::default())
-}
-
-fn material_group(
-    device: &wgpu::Device,
-    layout: &wgpu::BindGroupLayout,
-    base_color: &wgpu::TextureView,
-    metallic_roughness: &wgpu::TextureView,
-    sampler: &wgpu::Sampler,
-) -> wgpu::BindGroup {
-    device.create_bind_group(&wgpu::BindGroupDescriptor {
-        label: Some("material"),
-        layout,
-        entries: &[
-            wgpu::BindGroupEntry { binding: 0, resource: wgpu::BindingResource::TextureView(base_color) },
-            wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::TextureView(metallic_roughness) },
-            wgpu::BindGroupEntry { binding: 2, resource: wgpu::BindingResource::Sampler(sampler) },
-        ],
-    })
+/// A buffer that holds these bytes. Not mapped to be filled, which panics where the device has just been lost.
+pub(super) fn filled(gpu: &Gpu, label: &str, contents: &[u8], usage: wgpu::BufferUsages) -> wgpu::Buffer {
+    let (size, usage) = (contents.len() as u64, usage | wgpu::BufferUsages::COPY_DST);
+    let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false });
+    gpu.queue.write_buffer(&buffer, 0, contents);
+    buffer
 }

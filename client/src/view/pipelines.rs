@@ -2,8 +2,10 @@
 
 use std::collections::HashMap;
 
-use mr360_shaders::layout::Vertex;
-use mr360_shaders::source::{Module, Reflections, Surface};
+use mr360_shaders::layout::{Detail, Vertex};
+use mr360_shaders::source::{Alpha, Module, Reflections, Surface};
+
+use super::material::{Look, layout_entries};
 
 use crate::environment::reflection::reflection_layout;
 use crate::environment::{VideoKind, sampler_entry, texture_entry, video_layout};
@@ -34,9 +36,12 @@ pub(super) struct Layouts {
 /// The pipelines in use. Those that see the video are made for its kind and for the kind of surface, when first needed.
 pub(super) struct Pipelines {
     /// Of opaque casters.
-    pub(super) caster: wgpu::RenderPipeline,
-    /// Of casters that let a part of the light pass.
-    pub(super) sheer_caster: wgpu::RenderPipeline,
+    caster: wgpu::RenderPipeline,
+    /// Of glass, which lets a part of the light pass.
+    sheer_caster: wgpu::RenderPipeline,
+    cutout: wgpu::ShaderModule,
+    /// Casters with holes, by what of their looks counts.
+    cutouts: HashMap<Look, wgpu::RenderPipeline>,
     object: wgpu::ShaderModule,
     glass: wgpu::ShaderModule,
     ground: wgpu::ShaderModule,
@@ -63,12 +68,12 @@ pub(super) struct Kind {
 pub(super) enum Use {
     Object {
         surface: Surface,
-        textured: bool,
+        look: Look,
         double_sided: bool,
     },
     /// Glass, over what was drawn before it.
     Glass {
-        textured: bool,
+        look: Look,
     },
     /// The far sides of glass.
     GlassBack,
@@ -137,7 +142,7 @@ impl Layouts {
             casters: make("casters", &[instances]),
             caster: make("caster", &[buffer_entry(0, uniform, true)]),
             layer: make("layer", &[unfiltered]),
-            material: make("material", &[texture_entry(0), texture_entry(1), sampler_entry(2)]),
+            material: make("material", &layout_entries()),
         }
     }
 }
@@ -147,9 +152,13 @@ impl Layouts {
 struct Recipe<'a> {
     label: &'a str,
     vertex: &'a str,
+    /// Entry point, and what it colours, if anything.
     fragment: Option<(&'a str, Option<wgpu::TextureFormat>)>,
     layouts: &'a [Option<&'a wgpu::BindGroupLayout>],
     mesh: bool,
+    /// The mesh has a second vertex buffer.
+    detailed: bool,
+    blend: bool,
     cull: Option<wgpu::Face>,
     depth: Option<wgpu::DepthStencilState>,
     samples: u32,
@@ -164,12 +173,19 @@ fn build(gpu: &Gpu, module: &wgpu::ShaderModule, recipe: &Recipe<'_>) -> wgpu::R
         immediate_size: 0,
     });
     let attributes = wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x3, 2 => Float32x2];
-    let mesh = [Some(wgpu::VertexBufferLayout {
-        array_stride: size_of::<Vertex>() as u64,
-        step_mode: wgpu::VertexStepMode::Vertex,
-        attributes: &attributes,
-    })];
-    let targets: Vec<_> = recipe.fragment.iter().filter_map(|(_, format)| *format).map(|format| Some(format.into())).collect();
+    let details = wgpu::vertex_attr_array![3 => Float32x4, 4 => Float32x2, 5 => Unorm16x4];
+    let buffer = |size: usize, attributes| {
+        Some(wgpu::VertexBufferLayout { array_stride: size as u64, step_mode: wgpu::VertexStepMode::Vertex, attributes })
+    };
+    let mesh = [buffer(size_of::<Vertex>(), &attributes), buffer(size_of::<Detail>(), &details)];
+    let buffers = match (recipe.mesh, recipe.detailed) {
+        (false, _) => &mesh[..0],
+        (true, false) => &mesh[..1],
+        (true, true) => &mesh[..],
+    };
+    let blend = recipe.blend.then_some(wgpu::BlendState::PREMULTIPLIED_ALPHA_BLENDING);
+    let target = |format: Option<wgpu::TextureFormat>| Some(wgpu::ColorTargetState { blend, ..format?.into() });
+    let targets: Vec<_> = recipe.fragment.iter().filter(|(_, format)| format.is_some()).map(|(_, format)| target(*format)).collect();
     let strip = !recipe.mesh && recipe.vertex != "vs_fullscreen";
     let topology = if strip { wgpu::PrimitiveTopology::TriangleStrip } else { wgpu::PrimitiveTopology::TriangleList };
     gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
@@ -179,7 +195,7 @@ fn build(gpu: &Gpu, module: &wgpu::ShaderModule, recipe: &Recipe<'_>) -> wgpu::R
             module,
             entry_point: Some(recipe.vertex),
             compilation_options: wgpu::PipelineCompilationOptions::default(),
-            buffers: if recipe.mesh { &mesh } else { &[] },
+            buffers,
         },
         primitive: wgpu::PrimitiveState { topology, cull_mode: recipe.cull, ..wgpu::PrimitiveState::default() },
         depth_stencil: recipe.depth.clone(),
@@ -210,6 +226,23 @@ fn key(kind: Kind, what: Use) -> (Kind, Use) {
     (if what == Use::Composite { Kind { samples: 1, ..kind } } else { kind }, what)
 }
 
+fn caster_depth() -> wgpu::DepthStencilState {
+    depth(wgpu::CompareFunction::Less, wgpu::DepthBiasState::default())
+}
+
+fn object_vertex(look: Look) -> &'static str {
+    if look.detailed { "vs_object_detailed" } else { "vs_object" }
+}
+
+fn object_entry(look: Look) -> &'static str {
+    match (look.alpha, look.detailed) {
+        (Alpha::Mask, false) => "fs_object_masked",
+        (Alpha::Mask, true) => "fs_object_detailed_masked",
+        (_, false) => "fs_object",
+        (_, true) => "fs_object_detailed",
+    }
+}
+
 impl Pipelines {
     pub(super) fn new(gpu: &Gpu, layouts: &Layouts, target: wgpu::TextureFormat) -> Result<Self, GpuError> {
         let casters = Recipe {
@@ -218,8 +251,10 @@ impl Pipelines {
             fragment: None,
             layouts: &[Some(&layouts.casters), Some(&layouts.caster)],
             mesh: true,
+            detailed: false,
+            blend: false,
             cull: None,
-            depth: Some(depth(wgpu::CompareFunction::Less, wgpu::DepthBiasState::default())),
+            depth: Some(caster_depth()),
             samples: 1,
             constants: &[],
         };
@@ -228,6 +263,8 @@ impl Pipelines {
         Ok(Self {
             caster: build(gpu, &module, &casters),
             sheer_caster: build(gpu, &module, &sheer),
+            cutout: gpu.shader(Module::Cutout)?,
+            cutouts: HashMap::new(),
             object: gpu.shader(Module::Object)?,
             glass: gpu.shader(Module::Glass)?,
             ground: gpu.shader(Module::Ground)?,
@@ -241,6 +278,39 @@ impl Pipelines {
     pub(super) fn prepare(&mut self, gpu: &Gpu, layouts: &Layouts, kind: Kind, what: Use) {
         if !self.made.contains_key(&key(kind, what)) {
             self.made.insert(key(kind, what), self.make(gpu, layouts, kind, what));
+        }
+    }
+
+    /// Makes the pipeline of a caster unless it is there.
+    pub(super) fn prepare_caster(&mut self, gpu: &Gpu, layouts: &Layouts, surface: Surface, look: Look) {
+        let look = look.cutout();
+        if surface == Surface::Glass || look.alpha == Alpha::Opaque || self.cutouts.contains_key(&look) {
+            return;
+        }
+        let recipe = Recipe {
+            label: "caster with holes",
+            vertex: if look.detailed { "vs_cutout_detailed" } else { "vs_cutout" },
+            fragment: Some(("fs_cutout", None)),
+            layouts: &[Some(&layouts.casters), Some(&layouts.caster), None, Some(&layouts.material)],
+            mesh: true,
+            detailed: look.detailed,
+            blend: false,
+            cull: None,
+            depth: Some(caster_depth()),
+            samples: 1,
+            constants: &look.cutout_constants(),
+        };
+        self.cutouts.insert(look, build(gpu, &self.cutout, &recipe));
+    }
+
+    /// The pipeline of a caster that was prepared, and whether it looks at the material.
+    pub(super) fn caster(&self, surface: Surface, look: Look) -> (&wgpu::RenderPipeline, bool) {
+        if surface == Surface::Glass {
+            return (&self.sheer_caster, false);
+        }
+        match self.cutouts.get(&look.cutout()) {
+            Some(cutout) if look.alpha != Alpha::Opaque => (cutout, true),
+            _ => (&self.caster, false),
         }
     }
 
@@ -262,43 +332,50 @@ impl Pipelines {
             fragment: Some(("fs_ground", Some(LAYER_FORMAT))),
             layouts: &[Some(&layouts.frame), Some(&video)],
             mesh: false,
+            detailed: false,
+            blend: false,
             cull: Some(wgpu::Face::Back),
             depth: Some(depth(wgpu::CompareFunction::Greater, behind)),
             samples: kind.samples,
             constants: &[],
         };
         match what {
-            Use::Object { surface, textured, double_sided } => {
-                constants.extend([("SURFACE", f64::from(surface.index())), ("TEXTURED", flag(textured)), ("PLACE", flag(kind.place))]);
-                constants.push(("REFLECTIONS", f64::from(kind.reflections.index())));
+            Use::Object { surface, look, double_sided } => {
+                constants.extend([("SURFACE", f64::from(surface.index())), ("PLACE", flag(kind.place))]);
+                constants.extend([("REFLECTIONS", f64::from(kind.reflections.index())), ("SAMPLES", f64::from(kind.samples))]);
+                constants.extend(look.constants());
                 let reflection = reflection_layout(&gpu.device);
                 let recipe = Recipe {
                     label: "object",
-                    vertex: "vs_object",
-                    fragment: Some(("fs_object", Some(LAYER_FORMAT))),
+                    vertex: object_vertex(look),
+                    fragment: Some((object_entry(look), Some(LAYER_FORMAT))),
                     layouts: &[Some(&layouts.frame), Some(&video), Some(&reflection), Some(&layouts.material)],
                     mesh: true,
+                    detailed: look.detailed,
+                    blend: look.alpha == Alpha::Blend,
                     cull: (!double_sided).then_some(wgpu::Face::Back),
-                    depth: Some(depth(wgpu::CompareFunction::Greater, wgpu::DepthBiasState::default())),
+                    depth: Some(wgpu::DepthStencilState {
+                        depth_write_enabled: Some(look.alpha != Alpha::Blend),
+                        ..depth(wgpu::CompareFunction::Greater, wgpu::DepthBiasState::default())
+                    }),
                     constants: &constants,
                     ..ground
                 };
                 build(gpu, &self.object, &recipe)
             }
-            Use::Glass { textured } => {
-                constants.extend([
-                    ("SURFACE", f64::from(Surface::Glass.index())),
-                    ("TEXTURED", flag(textured)),
-                    ("PLACE", flag(kind.place)),
-                ]);
+            Use::Glass { look } => {
+                constants.extend([("SURFACE", f64::from(Surface::Glass.index())), ("PLACE", flag(kind.place))]);
                 constants.push(("REFLECTIONS", f64::from(kind.reflections.index())));
+                constants.extend(look.constants());
                 let reflection = reflection_layout(&gpu.device);
+                let entry = if look.detailed { "fs_glass_detailed" } else { "fs_glass" };
                 let recipe = Recipe {
                     label: "glass",
-                    vertex: "vs_object",
-                    fragment: Some(("fs_glass", Some(LAYER_FORMAT))),
+                    vertex: object_vertex(look),
+                    fragment: Some((entry, Some(LAYER_FORMAT))),
                     layouts: &[Some(&layouts.glass), Some(&video), Some(&reflection), Some(&layouts.material)],
                     mesh: true,
+                    detailed: look.detailed,
                     depth: Some(depth(wgpu::CompareFunction::Greater, wgpu::DepthBiasState::default())),
                     constants: &constants,
                     ..ground

@@ -9,6 +9,7 @@ use mr360_protocol::scene::{Geometry, PlaceMesh};
 use mr360_shaders::layout;
 use mr360_shaders::source::{OCCLUDER_REACH, Surface};
 
+use super::material::Look;
 use super::models::Models;
 use super::pipelines::{Kind, Use};
 use super::plan::MAX_SHADOWS;
@@ -53,11 +54,21 @@ impl Stage {
                 normal_from_object: normals.to_cols_array_2d().map(|[x, y, z]| [x, y, z, 0.0]),
                 ..layout::Instance::zeroed()
             });
-            let draw = Draw { geometry, part, instances: at..at + 1, textured: false, double_sided: true, surface: Surface::Rough };
+            let draw = Draw {
+                geometry,
+                part,
+                instances: at..at + 1,
+                animation: None,
+                own_material: false,
+                look: Look::default(),
+                double_sided: true,
+                center: Vec3::ZERO,
+                surface: Surface::Rough,
+            };
             self.place.draws.push((draw, mesh.casts_shadows));
             self.place.triangles += u64::from(one.index_count / 3);
         }
-        let corners = model.bounds.corners().map(|corner| world_from_object.transform_point3(corner));
+        let corners = model.bounds(None).corners().map(|corner| world_from_object.transform_point3(corner));
         let bounds = corners.into_iter().fold(Bounds::EMPTY, Bounds::including);
         self.place.bounds.push(bounds);
         if mesh.casts_shadows {
@@ -96,14 +107,14 @@ impl Renderer {
                 timestamp_writes: self.timer.pass(name),
                 ..wgpu::RenderPassDescriptor::default()
             });
-            pass.set_pipeline(&self.pipelines.caster);
+            pass.set_pipeline(self.pipelines.caster(Surface::Rough, Look::default()).0);
             pass.set_bind_group(0, &self.resources.caster_instances, &[]);
             pass.set_bind_group(1, &self.resources.caster_views, &[(MAX_SHADOWS + at) as u32 * VIEW_STRIDE]);
             for (draw, _) in self.stage.place.draws.iter().filter(|(_, casts)| *casts) {
                 if let Some(Ok(model)) = self.models.get(&draw.geometry)
                     && let Some(part) = model.parts.get(draw.part)
                 {
-                    draw_part(&mut pass, part, draw);
+                    draw_part(&mut pass, model, part, draw);
                     report.draws += 1;
                 }
             }
@@ -119,7 +130,7 @@ impl Renderer {
             if let Some(Ok(model)) = self.models.get(&draw.geometry)
                 && let Some(part) = model.parts.get(draw.part)
             {
-                draw_part(pass, part, draw);
+                draw_part(pass, model, part, draw);
                 report.draws += 1;
             }
         }

@@ -14,7 +14,7 @@ use crate::scene::model::Model;
 use crate::scene::shapes;
 
 /// A cube of edge 1 as a model.
-pub(super) fn cube() -> Arc<Model> {
+fn cube() -> Arc<Model> {
     let mesh = shapes::mesh(Shape::Cube);
     let positions: Vec<u8> = mesh.vertices.iter().flat_map(|v| v.position).flat_map(f32::to_le_bytes).collect();
     let indices: Vec<u8> = mesh.indices.iter().flat_map(|i| i.to_le_bytes()).collect();

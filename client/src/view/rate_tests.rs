@@ -1,13 +1,21 @@
 //! What is done at which rate: the light at display rate, reflections with the picture, shadow maps when something changes.
 
-use glam::{Quat, Vec3};
+use std::sync::Arc;
+
+use glam::Vec3;
 use mr360_protocol::light::{Lift, LightFrame};
-use mr360_protocol::scene::{Material, MaterialKind, PlaceMesh, Scene, Shape, Transform};
+use mr360_protocol::scene::{Geometry, Material, MaterialKind, Object, PlaceMesh, Scene, Shape, Transform};
 
 use super::tests::{SIZE, ball, camera, diffuse, draw, gradient, mirror, object, panorama, pixel_of, scene, sun};
 use super::*;
 use crate::governor::Tier;
 use crate::render::ambient_light;
+use crate::scene::model::Model;
+
+fn slider() -> (Arc<Model>, AssetId) {
+    let bytes = crate::scene::test_models::slider().glb();
+    (Arc::new(Model::parse(&bytes).unwrap()), AssetId::of(&bytes))
+}
 
 #[test]
 fn light_between_two_pictures_is_between_theirs_and_reflections_stay_the_picture() {
@@ -100,6 +108,14 @@ fn shadow_maps_are_drawn_when_light_or_scene_change() {
     assert_eq!(draws(&mut |renderer| renderer.set_light(&LightFrame { lights: vec![sun(Vec3::Y, 2.0)], ..light(1.1) })), 3);
     assert_eq!(draws(&mut |renderer| renderer.set_light(&light(1.1))), 3);
     assert_eq!(draws(&mut set(ball(diffuse(0.7)))), 3 + 2);
+    // What moves by itself takes its shadow along, and what stands still leaves it.
+    let (model, id) = slider();
+    let moving = Object { geometry: Geometry::Model(id), material: None, ..object(1, Shape::Cube, Vec3::NEG_Z * 3.5, 0.3, mirror()) };
+    let moving = scene(vec![moving]);
+    let set_moving = |renderer: &mut Renderer| assert!(renderer.set_scene(&gpu, &moving, &|_| Some(Ok(Arc::clone(&model)))).is_empty());
+    assert_eq!(draws(&mut |renderer| set_moving(renderer)), 3 + 2);
+    assert_eq!(draws(&mut |renderer| renderer.set_time(40_000)), 3 + 2);
+    assert_eq!(draws(&mut |renderer| renderer.set_time(40_000)), 3);
 }
 
 #[test]
@@ -142,20 +158,22 @@ fn every_pass_of_every_view_has_a_column() {
     let gpu = Gpu::headless().unwrap();
     let mut renderer = Renderer::new(&gpu, wgpu::TextureFormat::Rgba8UnormSrgb).unwrap();
     let mut environment = Environment::new(&gpu).unwrap();
-    let mut scene = ball(mirror());
-    let mut glass = scene.objects[0].clone();
-    glass.id = ObjectId(2);
-    glass.material = Some(Material { kind: MaterialKind::Glass, ..mirror() });
-    scene.objects.push(glass);
-    let transform = Transform { position: Vec3::NEG_Y * 2.0, rotation: Quat::IDENTITY, scale: Vec3::ONE };
-    scene.place.push(PlaceMesh { model: AssetId::of(b"cube"), transform, casts_shadows: true });
-    assert!(renderer.set_scene(&gpu, &scene, &|_| Some(Ok(place_tests::cube()))).is_empty());
+    let (moving, id) = slider();
+    let glass = Material { kind: MaterialKind::Glass, ..mirror() };
+    let objects = vec![
+        object(1, Shape::Sphere, Vec3::new(0.0, -1.1, -3.5), 1.0, mirror()),
+        object(2, Shape::Sphere, Vec3::new(1.0, -1.1, -3.5), 1.0, glass),
+        Object { geometry: Geometry::Model(id), material: None, ..object(3, Shape::Cube, Vec3::new(0.0, 0.0, -6.0), 1.0, mirror()) },
+    ];
+    let place = vec![PlaceMesh { model: id, transform: Transform::default(), casts_shadows: true }];
+    assert!(renderer.set_scene(&gpu, &Scene { place, ..scene(objects) }, &|_| Some(Ok(Arc::clone(&moving)))).is_empty());
     let offscreen = crate::headless::Offscreen::new(&gpu.device, &gpu.queue, 32, 32);
     let target = offscreen.target();
     let mut seen = Vec::new();
     for i in 0..4 {
         let light = LightFrame { pts_us: i, published_us: 0, lift: Lift::Linear, sh: vec![Vec3::ONE; 9], lights: vec![sun(Vec3::Y, 2.0)] };
         renderer.set_light(&light);
+        renderer.set_time(i);
         let views = std::array::from_fn::<_, MAX_VIEWS, _>(|_| View { camera: camera(), target: &target.view, size: (32, 32) });
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         seen.extend(renderer.render(&gpu, &mut encoder, &mut environment, &views).passes.iter().map(|pass| pass.name));
@@ -163,7 +181,8 @@ fn every_pass_of_every_view_has_a_column() {
         gpu.wait().unwrap();
     }
     // All but those of the second light and further ones; names of columns are parted by commas.
-    for name in PASSES.into_iter().filter(|name| !SHADOWS[1..].contains(name) && !PLACE_SHADOWS[1..].contains(name)) {
+    let further = [&SHADOWS[1..], &PLACE_SHADOWS[1..]].concat();
+    for name in PASSES.into_iter().filter(|name| !further.contains(name)) {
         assert!(seen.contains(&name) && !name.contains(','), "{name}: {seen:?}");
     }
     assert!(seen.iter().all(|name| PASSES.contains(name)), "{seen:?}");

@@ -66,7 +66,13 @@ fn draw_by(reflections: Reflections, gpu: &Gpu, picture: &Picture, light: &Light
     let metres_per_px = 2.0 * DISTANCE_M * (FOV / 2.0).tan() / SIDE as f32;
     let transform =
         Transform { position: Vec3::NEG_Z * DISTANCE_M, rotation: Quat::IDENTITY, scale: Vec3::splat(2.0 * radius_px * metres_per_px) };
-    let object = Object { id: ObjectId(1), geometry: Geometry::Shape(Shape::Sphere), transform, material: Some(material) };
+    let object = Object {
+        id: ObjectId(1),
+        geometry: Geometry::Shape(Shape::Sphere),
+        transform,
+        material: Some(material),
+        animation: Default::default(),
+    };
     let scene = Scene { ground_y: -1e5, objects: vec![object], ..Scene::default() };
     let still = Still { gpu, picture, light, scene: &scene, assets: &HashMap::new() };
     let bytes = still.draw_by(reflections, &Camera::looking(0.0, 0.0, FOV), (SIDE, SIDE), wgpu::TextureFormat::Rgba32Float).unwrap();

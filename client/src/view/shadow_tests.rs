@@ -39,6 +39,7 @@ impl Solid {
             geometry: Geometry::Shape(shape),
             transform: Transform { position, rotation: Quat::IDENTITY, scale },
             material,
+            animation: Default::default(),
         }
     }
 
@@ -208,7 +209,7 @@ fn texel_m(solids: &[Solid], light: &DirectionalLight) -> f32 {
                 Solid::Cylinder { center, radius, half_height } => (center, Vec3::new(radius, half_height, radius)),
                 Solid::Block { center, half } => (center, half),
             };
-            crate::scene::mesh::Bounds { min: center - half, max: center + half }
+            Bounds { min: center - half, max: center + half }
         })
         .collect();
     let highest = boxes.iter().map(|b| b.max.y - GROUND_Y).fold(0.0, f32::max);

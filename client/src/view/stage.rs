@@ -4,13 +4,15 @@ use std::ops::Range;
 
 use glam::{Mat3, Mat4, Vec3};
 use mr360_protocol::asset::AssetId;
-use mr360_protocol::scene::{Geometry, Material, MaterialKind, Object, ObjectId, Scene};
+use mr360_protocol::scene::{Geometry, Material, MaterialKind, Object, ObjectId, Scene, Transform};
 use mr360_shaders::layout::{self, MAX_OCCLUDERS};
-use mr360_shaders::source::{OCCLUDER_REACH, Surface};
+use mr360_shaders::source::{Alpha, OCCLUDER_REACH, Surface};
 
+use super::material::Look;
 use super::models::{GpuModel, GpuPart, Models};
 use super::place::Place;
 use super::plan::{SceneNeeds, reflects};
+use super::poses::MAX_POSED_VERTICES;
 use super::shadows::ground_shadow;
 use crate::environment::FrameLight;
 use crate::environment::light::tan_radius;
@@ -43,6 +45,17 @@ pub enum ModelFault {
     /// Refused.
     #[error(transparent)]
     Broken(ModelError),
+    /// It has no animation of that name.
+    #[error("has no animation {name:?}; {}", known(names))]
+    NoSuchAnimation {
+        /// As the scene names it.
+        name: String,
+        /// What the file has.
+        names: Vec<String>,
+    },
+    /// The animations of the scene take too much memory.
+    #[error("the scene's animations move more than {MAX_POSED_VERTICES} vertices; use simpler models or fewer animations")]
+    TooManyPoses,
     /// The scene is full.
     #[error("the scene draws more than {MAX_INSTANCES} parts; use simpler models or fewer objects")]
     TooManyParts,
@@ -66,15 +79,30 @@ impl std::fmt::Display for Element {
     }
 }
 
+fn known(names: &[String]) -> String {
+    const SHOWN: usize = 12;
+    let listed: Vec<_> = names.iter().take(SHOWN).map(|name| format!("{name:?}")).collect();
+    match names.len() {
+        0 => "it has none, leave the name out".to_owned(),
+        count if count > SHOWN => format!("its {count} are {}, …", listed.join(", ")),
+        _ => format!("it has {}", listed.join(", ")),
+    }
+}
+
 /// One draw call.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Draw {
     pub(super) geometry: Geometry,
     pub(super) part: usize,
     pub(super) instances: Range<u32>,
-    /// With the textures of the model's file.
-    pub(super) textured: bool,
+    /// Which of its model's animations moves it.
+    pub(super) animation: Option<usize>,
+    /// With the material of the model's file.
+    pub(super) own_material: bool,
+    pub(super) look: Look,
     pub(super) double_sided: bool,
+    /// Of its one instance in the world, where draws have to be in order of distance.
+    pub(super) center: Vec3,
     /// What its instances are shaded with.
     pub(super) surface: Surface,
 }
@@ -89,6 +117,10 @@ pub(super) struct Stage {
     pub(super) occluders_lost: usize,
     pub(super) casters: Vec<Bounds>,
     pub(super) targets: Vec<Target>,
+    /// Middles of what is of glass.
+    pub(super) glass: Vec<Vec3>,
+    /// Objects that move by themselves, each with its bounds in the world.
+    pub(super) animated: Vec<(Geometry, usize, Bounds)>,
     pub(super) needs: SceneNeeds,
     pub(super) ground_y: f32,
     pub(super) triangles: u64,
@@ -98,6 +130,9 @@ pub(super) struct Stage {
 struct Placed<'a> {
     object: &'a Object,
     model: &'a GpuModel,
+    animation: Option<usize>,
+    /// In its own frame, in all its poses.
+    bounds: Bounds,
     world_from_object: Mat4,
 }
 
@@ -109,13 +144,15 @@ impl Stage {
         let mut parts = 0;
         for object in &scene.objects {
             let fault = match models.get(&object.geometry) {
-                Some(Ok(model)) if parts + model.parts.len() <= MAX_INSTANCES => {
-                    parts += model.parts.len();
-                    let transform = object.transform;
-                    let world_from_object = Mat4::from_scale_rotation_translation(transform.scale, transform.rotation, transform.position);
-                    placed.push(Placed { object, model, world_from_object });
-                    continue;
-                }
+                Some(Ok(model)) if parts + model.parts.len() <= MAX_INSTANCES => match model.animation(&object.animation) {
+                    Ok(Some(animation)) if !model.plays(animation) => ModelFault::TooManyPoses,
+                    Ok(animation) => {
+                        parts += model.parts.len();
+                        placed.push(Placed::new(object, model, animation));
+                        continue;
+                    }
+                    Err(fault) => fault,
+                },
                 Some(Ok(_)) => ModelFault::TooManyParts,
                 Some(Err(error)) => ModelFault::Broken(error.clone()),
                 None => ModelFault::Missing,
@@ -126,7 +163,7 @@ impl Stage {
         }
         // Objects of the same geometry and kind of surface share draws; those with a material of their own use none
         // of the file's textures.
-        let key = |p: &Placed<'_>| (geometry_key(&p.object.geometry), p.object.material.as_ref().map(surface_of));
+        let key = |p: &Placed<'_>| (geometry_key(&p.object.geometry), p.animation, p.object.material.as_ref().map(surface_of));
         placed.sort_by_key(key);
         let mut stage = Self { ground_y: scene.ground_y, ..Self::default() };
         for run in placed.chunk_by(|a, b| key(a) == key(b)) {
@@ -147,34 +184,70 @@ impl Stage {
         for (at, part) in first.model.parts.iter().enumerate() {
             let start = self.instances.len() as u32;
             self.instances.extend(run.iter().map(|placed| instance(placed, part)));
-            let textured = first.object.material.is_none();
+            let own_material = first.object.material.is_none();
             let used = &self.instances[start as usize..];
-            let varies = textured && !part.surface.glass && part.surface.metallic_roughness_texture.is_some();
             let own = used.first().map_or(Surface::Varying, |i| Surface::of(i.roughness, i.glass == 1));
-            self.needs.glass |= own == Surface::Glass;
-            self.needs.reflective |= varies || used.iter().any(|i| reflects(i.roughness, i.glass == 1));
-            self.draws.push(Draw {
+            let look = match own {
+                _ if !own_material => Look::default(),
+                Surface::Glass if !part.surface.unlit => part.look.solid(),
+                _ => part.look,
+            };
+            // Textures and spread normals make a surface rougher than it says, and never smoother.
+            let varies =
+                look.varies() && !part.surface.glass && (own != Surface::Rough || part.surface.metallic_roughness_texture.is_some());
+            let unlit = own_material && part.surface.unlit;
+            self.needs.reflective |= !unlit && (varies || used.iter().any(|i| reflects(i.roughness, i.glass == 1)));
+            let surface = match own {
+                _ if unlit => Surface::Rough,
+                _ if varies => Surface::Varying,
+                own => own,
+            };
+            if surface == Surface::Glass {
+                self.needs.glass = true;
+                self.glass.extend(run.iter().map(|placed| placed.world_from_object.transform_point3(part.center)));
+            }
+            let animation = first.animation;
+            let draw = |instances: Range<u32>, center: Vec3| Draw {
                 geometry: first.object.geometry,
                 part: at,
-                instances: start..self.instances.len() as u32,
-                textured: textured && (part.surface.base_color_texture.is_some() || part.surface.metallic_roughness_texture.is_some()),
+                instances,
+                animation,
+                own_material,
+                look,
                 double_sided: part.surface.double_sided,
-                surface: if varies { Surface::Varying } else { own },
-            });
+                surface,
+                center,
+            };
+            if look.alpha == Alpha::Blend {
+                let one =
+                    |(index, placed): (u32, &Placed<'_>)| draw(index..index + 1, placed.world_from_object.transform_point3(part.center));
+                self.draws.extend((start..).zip(run).map(one));
+            } else {
+                self.draws.push(draw(start..self.instances.len() as u32, Vec3::ZERO));
+            }
             self.triangles += u64::from(part.index_count / 3) * run.len() as u64;
         }
         for placed in run {
-            let corners = placed.model.bounds.corners().map(|corner| placed.world_from_object.transform_point3(corner));
+            let corners = placed.bounds.corners().map(|corner| placed.world_from_object.transform_point3(corner));
             let world = corners.into_iter().fold(Bounds::EMPTY, Bounds::including);
             // A millimetre: what stands on the ground by its bounds does not reach beneath it.
             self.needs.beneath_ground |= world.min.y < self.ground_y - 1e-3;
             self.casters.push(world);
+            self.animated.extend(placed.animation.map(|animation| (placed.object.geometry, animation, world)));
             let shape = match placed.object.geometry {
                 Geometry::Shape(shape) => Some(shape),
                 Geometry::Model(_) => None,
             };
-            self.targets.push(Target { id: placed.object.id, transform: placed.object.transform, bounds: placed.model.bounds, shape });
+            self.targets.push(Target { id: placed.object.id, transform: placed.object.transform, bounds: placed.bounds, shape });
         }
+    }
+
+    /// Draws of blended surfaces, the farthest from a point first: those that glass may show, and those nearer than all glass.
+    pub(super) fn blended(&self, from: Vec3) -> (Vec<&Draw>, Vec<&Draw>) {
+        let nearest_glass = self.glass.iter().map(|at| at.distance_squared(from)).reduce(f32::min).unwrap_or(0.0);
+        let mut draws: Vec<&Draw> = self.draws.iter().filter(|draw| draw.look.alpha == Alpha::Blend).collect();
+        draws.sort_by(|a, b| b.center.distance_squared(from).total_cmp(&a.center.distance_squared(from)));
+        draws.into_iter().partition(|draw| draw.center.distance_squared(from) >= nearest_glass)
     }
 
     /// The part of the ground, in x and z, that objects can change under this light: their occluders' reach and
@@ -199,6 +272,14 @@ impl Stage {
             }
         }
         changed
+    }
+}
+
+impl<'a> Placed<'a> {
+    fn new(object: &'a Object, model: &'a GpuModel, animation: Option<usize>) -> Self {
+        let Transform { position, rotation, scale } = object.transform;
+        let world_from_object = Mat4::from_scale_rotation_translation(scale, rotation, position);
+        Self { object, model, animation, bounds: model.bounds(animation), world_from_object }
     }
 }
 
@@ -240,9 +321,9 @@ fn occluders(placed: &[Placed<'_>]) -> (Vec<layout::Occluder>, usize) {
     let spheres_of = |placed: &Placed<'_>, detailed: bool| {
         let (transform, model) = (placed.object.transform, placed.model);
         let spheres = if detailed {
-            occluder::cover(&model.bounds, transform.scale, model.round)
+            occluder::cover(&placed.bounds, transform.scale, model.round)
         } else {
-            vec![occluder::single(&model.bounds, transform.scale)]
+            vec![occluder::single(&placed.bounds, transform.scale)]
         };
         let albedo = placed.object.material.map_or(model.albedo, |material| Vec3::from_array(material.base_color));
         let object = placed.object.id.0;

@@ -30,7 +30,7 @@ pub(super) fn panorama(width: u32, height: u32, radiance: impl Fn(Vec3) -> Vec3)
 
 pub(super) fn object(id: u32, shape: Shape, position: Vec3, scale: f32, material: Material) -> Object {
     let transform = Transform { position, rotation: Quat::IDENTITY, scale: Vec3::splat(scale) };
-    Object { id: ObjectId(id), geometry: Geometry::Shape(shape), transform, material: Some(material) }
+    Object { id: ObjectId(id), geometry: Geometry::Shape(shape), transform, material: Some(material), animation: Default::default() }
 }
 
 pub(super) fn scene(objects: Vec<Object>) -> Scene {

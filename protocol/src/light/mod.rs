@@ -4,9 +4,9 @@ use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
 mod blend;
+mod wire;
 
 pub use blend::SAME_LIGHT_COS;
-mod wire;
 
 /// Weights of relative luminance in linear BT.709 and of luma in BT.709 R'G'B' (ITU-R BT.709).
 pub const LUMA: Vec3 = Vec3::new(0.2126, 0.7152, 0.0722);
