@@ -5,12 +5,14 @@
 //! pixels have the same bits as with no object in the scene: the layer's samples are cleared to 0, and resolving
 //! averages zeros.
 
+mod casting;
 #[cfg(test)]
 mod energy_tests;
 mod extent;
 mod glass;
 #[cfg(test)]
 mod glass_tests;
+mod layering;
 mod material;
 #[cfg(test)]
 mod material_tests;
@@ -37,20 +39,17 @@ mod stage;
 mod tests;
 pub mod timing;
 
-use std::collections::HashSet;
-
 use glam::Vec3;
 use mr360_protocol::asset::AssetId;
 use mr360_protocol::light::LightFrame;
-use mr360_protocol::scene::{Geometry, ObjectId, Scene};
+use mr360_protocol::scene::{ObjectId, Scene};
 use mr360_shaders::layout;
-use mr360_shaders::source::{Alpha, Reflections};
+use mr360_shaders::source::Reflections;
 
 use crate::camera::Camera;
 use crate::environment::{Environment, FrameLight};
 use crate::governor::Tier;
 use crate::gpu::{Gpu, GpuError};
-use crate::scene::mesh::Bounds;
 use crate::scene::model::LoadedModel;
 use crate::scene::pick::{Ray, nearest};
 use crate::stats::PassTime;
@@ -58,12 +57,12 @@ use crate::stats::PassTime;
 pub use plan::Plan;
 pub use stage::{Element, ModelFault, SceneWarning};
 
-use extent::{Part, in_view, touched};
+use extent::{Part, touched};
 use glass::is_glass;
 use models::Models;
 use pipelines::{Kind, Layouts, Pipelines, Use};
 use plan::SceneNeeds;
-use resources::{Layer, Resources, VIEW_STRIDE};
+use resources::{Layer, Resources};
 use room::Room;
 use shadows::Frustum;
 use stage::Stage;
@@ -339,21 +338,6 @@ impl Renderer {
         report
     }
 
-    /// Brings animated models that this frame shows into their pose, and has the shadow maps drawn anew where one moved. A shadow
-    /// may fall into a view that its object is outside of.
-    fn pose(&mut self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder, plan: Plan, views: &[View<'_>]) {
-        let Self { stage, models, timer, time_us, shadows, .. } = self;
-        if !plan.objects || stage.animated.is_empty() {
-            return;
-        }
-        let seen = |bounds: &Bounds| plan.shadows > 0 || views.iter().any(|view| in_view(&view.camera, view.size, bounds));
-        let shown: HashSet<(Geometry, usize)> =
-            stage.animated.iter().filter(|(.., bounds)| seen(bounds)).map(|(geometry, animation, _)| (*geometry, *animation)).collect();
-        if models.deform(gpu, encoder, timer, *time_us, &|geometry, animation| shown.contains(&(*geometry, animation))) {
-            *shadows = [None; plan::MAX_SHADOWS];
-        }
-    }
-
     /// Makes what pipelines this frame needs and earlier ones did not.
     fn prepare(&mut self, gpu: &Gpu, kind: Kind, plan: Plan) {
         if plan.shadows > 0 {
@@ -370,151 +354,6 @@ impl Renderer {
         for what in objects.chain(others.into_iter().filter_map(|(what, needed)| needed.then_some(what))) {
             self.pipelines.prepare(gpu, &self.layouts, kind, what);
         }
-    }
-
-    /// The layer's targets, kept while they hold the part and are not far too large for it.
-    fn make_layer(&mut self, gpu: &Gpu, at: usize, (part, image): (Part, (u32, u32)), glass: bool) {
-        let make = |room: &Room| Layer::new(&gpu.device, &self.layouts.layer, room.size(), self.samples, glass);
-        // Views before this one may have had nothing to draw.
-        while self.layers.len() <= at {
-            let mut room = Room::default();
-            room.make(part.size, image);
-            self.layers.push((room, make(&room)));
-        }
-        if let Some((room, layer)) = self.layers.get_mut(at)
-            && (room.make(part.size, image) || layer.glass.is_some() != glass)
-        {
-            *layer = make(room);
-        }
-    }
-
-    /// Draws the maps that do not show the scene as their light sees it now.
-    fn draw_shadows(&mut self, encoder: &mut wgpu::CommandEncoder, frusta: &[Frustum], report: &mut FrameReport) {
-        let maps = self.resources.shadow_layers.iter().zip(&mut self.shadows).zip(SHADOWS);
-        for (at, (((layer, held), name), frustum)) in maps.zip(frusta).enumerate() {
-            if held.replace(*frustum) == Some(*frustum) {
-                continue;
-            }
-            let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-                label: Some(name),
-                depth_stencil_attachment: Some(depth_attachment(layer, 1.0, wgpu::StoreOp::Store)),
-                timestamp_writes: self.timer.pass(name),
-                ..wgpu::RenderPassDescriptor::default()
-            });
-            pass.set_bind_group(0, &self.resources.caster_instances, &[]);
-            pass.set_bind_group(1, &self.resources.caster_views, &[at as u32 * VIEW_STRIDE]);
-            for draw in &self.stage.draws {
-                if let Some(Ok(model)) = self.models.get(&draw.geometry)
-                    && let Some(part) = model.parts.get(draw.part)
-                {
-                    let (pipeline, with_material) = self.pipelines.caster(draw.surface, draw.look);
-                    pass.set_pipeline(pipeline);
-                    if with_material {
-                        pass.set_bind_group(3, &part.material, &[]);
-                    }
-                    draw_part(&mut pass, model, part, draw);
-                    report.draws += 1;
-                }
-            }
-            report.triangles += self.stage.triangles;
-        }
-    }
-
-    fn draw_layer(
-        &mut self,
-        encoder: &mut wgpu::CommandEncoder,
-        environment: &Environment,
-        kind: Kind,
-        (at, view, part): (usize, &View<'_>, Part),
-        ground: bool,
-        report: &mut FrameReport,
-    ) {
-        let Some((_, layer)) = self.layers.get(at) else { return };
-        // Glass goes over the samples of what was drawn, and sees them resolved.
-        let (resolved, depth_store) = match &layer.glass {
-            Some(glass) => (&glass.drawn, wgpu::StoreOp::Store),
-            None => (&layer.resolved, wgpu::StoreOp::Discard),
-        };
-        let (target, resolve_target, store) = match &layer.samples {
-            Some(samples) => (samples, Some(resolved), depth_store),
-            None => (resolved, None, wgpu::StoreOp::Store),
-        };
-        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-            label: Some(OBJECTS[at]),
-            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-                view: target,
-                depth_slice: None,
-                resolve_target,
-                ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT), store },
-            })],
-            depth_stencil_attachment: Some(depth_attachment(&layer.depth, 0.0, depth_store)),
-            timestamp_writes: self.timer.pass(OBJECTS[at]),
-            ..wgpu::RenderPassDescriptor::default()
-        });
-        look_into(&mut pass, view, part);
-        pass.set_bind_group(0, &self.resources.frame, &[at as u32 * VIEW_STRIDE]);
-        pass.set_bind_group(1, environment.bind_group(), &[]);
-        pass.set_bind_group(2, environment.reflection_bind_group(), &[]);
-        for draw in self.stage.draws.iter().filter(|draw| draw.look.alpha != Alpha::Blend && !is_glass(draw)) {
-            report.draws += self.draw_object(&mut pass, kind, draw);
-        }
-        report.triangles += self.stage.triangles;
-        self.draw_place(&mut pass, kind, report);
-        // After the objects, so that ground they cover is not shaded. From beneath there is no ground to see.
-        let changed = (ground, Use::Ground);
-        let hiding = (report.plan.ground_hides && view.camera.position.y > self.stage.ground_y, Use::Horizon);
-        for (_, what) in [changed, hiding].into_iter().filter(|(drawn, _)| *drawn) {
-            if let Some(pipeline) = self.pipelines.get(kind, what) {
-                pass.set_pipeline(pipeline);
-                pass.draw(0..4, 0..1);
-                report.draws += 1;
-            }
-        }
-        // Over all that covers, ground too, which writes what is changed and not what is added to it.
-        for draw in self.stage.blended(view.camera.position).0 {
-            report.draws += self.draw_object(&mut pass, kind, draw);
-        }
-    }
-
-    /// Draws one, if its pipeline and model are there; the groups of frame, environment and reflections are set. Returns the draw calls.
-    fn draw_object(&self, pass: &mut wgpu::RenderPass<'_>, kind: Kind, draw: &stage::Draw) -> u32 {
-        let Some(Ok(model)) = self.models.get(&draw.geometry) else { return 0 };
-        let Some(part) = model.parts.get(draw.part) else { return 0 };
-        let Some(pipeline) = self.pipelines.get(kind, object_use(draw)) else { return 0 };
-        pass.set_pipeline(pipeline);
-        pass.set_bind_group(3, if draw.own_material { &part.material } else { self.models.plain() }, &[]);
-        draw_part(pass, model, part, draw);
-        1
-    }
-
-    fn composite(
-        &mut self,
-        encoder: &mut wgpu::CommandEncoder,
-        environment: &Environment,
-        kind: Kind,
-        (at, view): (usize, &View<'_>),
-        drawn: bool,
-        report: &mut FrameReport,
-    ) {
-        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-            label: Some(COMPOSITE[at]),
-            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-                view: view.target,
-                depth_slice: None,
-                resolve_target: None,
-                ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::BLACK), store: wgpu::StoreOp::Store },
-            })],
-            timestamp_writes: self.timer.pass(COMPOSITE[at]),
-            ..wgpu::RenderPassDescriptor::default()
-        });
-        let layer = self.layers.get(at).filter(|_| drawn).map_or(&self.resources.no_layer, |(_, layer)| &layer.group);
-        let Some(pipeline) = self.pipelines.get(kind, Use::Composite) else { return };
-        pass.set_pipeline(pipeline);
-        pass.set_bind_group(0, &self.resources.frame, &[at as u32 * VIEW_STRIDE]);
-        pass.set_bind_group(1, environment.bind_group(), &[]);
-        pass.set_bind_group(2, layer, &[]);
-        pass.draw(0..3, 0..1);
-        report.draws += 1;
     }
 }
 

@@ -321,114 +321,162 @@ impl Pipelines {
 
     fn make(&self, gpu: &Gpu, layouts: &Layouts, kind: Kind, what: Use) -> wgpu::RenderPipeline {
         let video = video_layout(&gpu.device);
-        let flag = |value: bool| f64::from(u8::from(value));
-        let [a, b, c, d] = kind.video.constants();
-        let mut constants = vec![a, b, c, d, ("SH_COUNT", kind.sh_count as f64)];
+        let reflection = reflection_layout(&gpu.device);
+        let groups = Groups { layouts, video: &video, reflection: &reflection };
+        match what {
+            Use::Object { surface, look, double_sided } => self.object(gpu, &groups, kind, (surface, look, double_sided)),
+            Use::Glass { look } => self.glass(gpu, &groups, kind, look),
+            Use::GlassBack => self.glass_back(gpu, &groups),
+            Use::Ground | Use::Place | Use::Horizon => self.ground(gpu, &groups, kind, what),
+            Use::Composite => self.composite(gpu, &groups, kind),
+        }
+    }
+
+    fn object(
+        &self,
+        gpu: &Gpu,
+        groups: &Groups<'_>,
+        kind: Kind,
+        (surface, look, double_sided): (Surface, Look, bool),
+    ) -> wgpu::RenderPipeline {
+        let mut constants = surface_constants(kind, surface, look);
+        constants.push(("SAMPLES", f64::from(kind.samples)));
+        let Groups { layouts, video, reflection } = groups;
+        let recipe = Recipe {
+            label: "object",
+            vertex: object_vertex(look),
+            fragment: Some((object_entry(look), Some(LAYER_FORMAT))),
+            layouts: &[Some(&layouts.frame), Some(video), Some(reflection), Some(&layouts.material)],
+            mesh: true,
+            detailed: look.detailed,
+            blend: look.alpha == Alpha::Blend,
+            cull: (!double_sided).then_some(wgpu::Face::Back),
+            depth: Some(wgpu::DepthStencilState { depth_write_enabled: Some(look.alpha != Alpha::Blend), ..nearer() }),
+            samples: kind.samples,
+            constants: &constants,
+        };
+        build(gpu, &self.object, &recipe)
+    }
+
+    fn glass(&self, gpu: &Gpu, groups: &Groups<'_>, kind: Kind, look: Look) -> wgpu::RenderPipeline {
+        let Groups { layouts, video, reflection } = groups;
+        let entry = if look.detailed { "fs_glass_detailed" } else { "fs_glass" };
+        let recipe = Recipe {
+            label: "glass",
+            vertex: object_vertex(look),
+            fragment: Some((entry, Some(LAYER_FORMAT))),
+            layouts: &[Some(&layouts.glass), Some(video), Some(reflection), Some(&layouts.material)],
+            mesh: true,
+            detailed: look.detailed,
+            blend: false,
+            cull: Some(wgpu::Face::Back),
+            depth: Some(nearer()),
+            samples: kind.samples,
+            constants: &surface_constants(kind, Surface::Glass, look),
+        };
+        build(gpu, &self.glass, &recipe)
+    }
+
+    fn glass_back(&self, gpu: &Gpu, groups: &Groups<'_>) -> wgpu::RenderPipeline {
+        let recipe = Recipe {
+            label: "glass, far sides",
+            vertex: "vs_object",
+            fragment: Some(("fs_glass_back", Some(BACK_FORMAT))),
+            layouts: &[Some(&groups.layouts.frame)],
+            mesh: true,
+            detailed: false,
+            blend: false,
+            cull: Some(wgpu::Face::Front),
+            depth: Some(nearer()),
+            samples: 1,
+            constants: &[],
+        };
+        build(gpu, &self.glass, &recipe)
+    }
+
+    /// Ground, the place's meshes, or the ground's horizon.
+    fn ground(&self, gpu: &Gpu, groups: &Groups<'_>, kind: Kind, what: Use) -> wgpu::RenderPipeline {
+        let mut constants = video_constants(kind);
+        constants.push(("PLACE", flag(kind.place)));
         // The ground gives way to what lies flat on it.
         let behind = wgpu::DepthBiasState { constant: -8, slope_scale: -2.0, clamp: 0.0 };
         let ground = Recipe {
             label: "ground",
             vertex: "vs_ground",
             fragment: Some(("fs_ground", Some(LAYER_FORMAT))),
-            layouts: &[Some(&layouts.frame), Some(&video)],
+            layouts: &[Some(&groups.layouts.frame), Some(groups.video)],
             mesh: false,
             detailed: false,
             blend: false,
             cull: Some(wgpu::Face::Back),
             depth: Some(depth(wgpu::CompareFunction::Greater, behind)),
             samples: kind.samples,
-            constants: &[],
+            constants: &constants,
         };
         match what {
-            Use::Object { surface, look, double_sided } => {
-                constants.extend([("SURFACE", f64::from(surface.index())), ("PLACE", flag(kind.place))]);
-                constants.extend([("REFLECTIONS", f64::from(kind.reflections.index())), ("SAMPLES", f64::from(kind.samples))]);
-                constants.extend(look.constants());
-                let reflection = reflection_layout(&gpu.device);
-                let recipe = Recipe {
-                    label: "object",
-                    vertex: object_vertex(look),
-                    fragment: Some((object_entry(look), Some(LAYER_FORMAT))),
-                    layouts: &[Some(&layouts.frame), Some(&video), Some(&reflection), Some(&layouts.material)],
-                    mesh: true,
-                    detailed: look.detailed,
-                    blend: look.alpha == Alpha::Blend,
-                    cull: (!double_sided).then_some(wgpu::Face::Back),
-                    depth: Some(wgpu::DepthStencilState {
-                        depth_write_enabled: Some(look.alpha != Alpha::Blend),
-                        ..depth(wgpu::CompareFunction::Greater, wgpu::DepthBiasState::default())
-                    }),
-                    constants: &constants,
-                    ..ground
-                };
-                build(gpu, &self.object, &recipe)
-            }
-            Use::Glass { look } => {
-                constants.extend([("SURFACE", f64::from(Surface::Glass.index())), ("PLACE", flag(kind.place))]);
-                constants.push(("REFLECTIONS", f64::from(kind.reflections.index())));
-                constants.extend(look.constants());
-                let reflection = reflection_layout(&gpu.device);
-                let entry = if look.detailed { "fs_glass_detailed" } else { "fs_glass" };
-                let recipe = Recipe {
-                    label: "glass",
-                    vertex: object_vertex(look),
-                    fragment: Some((entry, Some(LAYER_FORMAT))),
-                    layouts: &[Some(&layouts.glass), Some(&video), Some(&reflection), Some(&layouts.material)],
-                    mesh: true,
-                    detailed: look.detailed,
-                    depth: Some(depth(wgpu::CompareFunction::Greater, wgpu::DepthBiasState::default())),
-                    constants: &constants,
-                    ..ground
-                };
-                build(gpu, &self.glass, &recipe)
-            }
-            Use::GlassBack => {
-                let recipe = Recipe {
-                    label: "glass, far sides",
-                    vertex: "vs_object",
-                    fragment: Some(("fs_glass_back", Some(BACK_FORMAT))),
-                    layouts: &[Some(&layouts.frame)],
-                    mesh: true,
-                    cull: Some(wgpu::Face::Front),
-                    depth: Some(depth(wgpu::CompareFunction::Greater, wgpu::DepthBiasState::default())),
-                    samples: 1,
-                    ..ground
-                };
-                build(gpu, &self.glass, &recipe)
-            }
-            Use::Ground => {
-                constants.push(("PLACE", flag(kind.place)));
-                build(gpu, &self.ground, &Recipe { constants: &constants, ..ground })
-            }
             Use::Place => {
-                constants.push(("PLACE", 1.0));
                 let fragment = Some(("fs_place", Some(LAYER_FORMAT)));
-                let place = Recipe { label: "place", vertex: "vs_place", mesh: true, cull: None, ..ground };
-                build(gpu, &self.ground, &Recipe { fragment, constants: &constants, ..place })
+                build(gpu, &self.ground, &Recipe { label: "place", vertex: "vs_place", fragment, mesh: true, cull: None, ..ground })
             }
             Use::Horizon => {
                 let fragment = Some(("fs_horizon", Some(LAYER_FORMAT)));
                 // It lies in the ground's own plane, and gives way to it too.
                 let farther = wgpu::DepthBiasState { constant: -32, slope_scale: -4.0, clamp: 0.0 };
                 let depth = Some(depth(wgpu::CompareFunction::Greater, farther));
-                build(gpu, &self.ground, &Recipe { label: "horizon", vertex: "vs_horizon", fragment, depth, ..ground })
+                build(gpu, &self.ground, &Recipe { label: "horizon", vertex: "vs_horizon", fragment, depth, constants: &[], ..ground })
             }
-            Use::Composite => {
-                let eight_bits = matches!(self.target, wgpu::TextureFormat::Rgba8Unorm | wgpu::TextureFormat::Bgra8Unorm);
-                constants.push(("ENCODE_SRGB", flag(eight_bits)));
-                let recipe = Recipe {
-                    label: "composite",
-                    vertex: "vs_fullscreen",
-                    fragment: Some(("fs_composite", Some(self.target))),
-                    layouts: &[Some(&layouts.frame), Some(&video), Some(&layouts.layer)],
-                    cull: None,
-                    depth: None,
-                    samples: 1,
-                    constants: &constants,
-                    ..ground
-                };
-                build(gpu, &self.composite, &recipe)
-            }
+            _ => build(gpu, &self.ground, &ground),
         }
     }
+
+    fn composite(&self, gpu: &Gpu, groups: &Groups<'_>, kind: Kind) -> wgpu::RenderPipeline {
+        let eight_bits = matches!(self.target, wgpu::TextureFormat::Rgba8Unorm | wgpu::TextureFormat::Bgra8Unorm);
+        let mut constants = video_constants(kind);
+        constants.push(("ENCODE_SRGB", flag(eight_bits)));
+        let recipe = Recipe {
+            label: "composite",
+            vertex: "vs_fullscreen",
+            fragment: Some(("fs_composite", Some(self.target))),
+            layouts: &[Some(&groups.layouts.frame), Some(groups.video), Some(&groups.layouts.layer)],
+            mesh: false,
+            detailed: false,
+            blend: false,
+            cull: None,
+            depth: None,
+            samples: 1,
+            constants: &constants,
+        };
+        build(gpu, &self.composite, &recipe)
+    }
+}
+
+/// Layouts of the bind groups.
+struct Groups<'a> {
+    layouts: &'a Layouts,
+    video: &'a wgpu::BindGroupLayout,
+    reflection: &'a wgpu::BindGroupLayout,
+}
+
+fn flag(value: bool) -> f64 {
+    f64::from(u8::from(value))
+}
+
+/// Nothing lies before it, which depth is reversed for.
+fn nearer() -> wgpu::DepthStencilState {
+    depth(wgpu::CompareFunction::Greater, wgpu::DepthBiasState::default())
+}
+
+/// What shaders that see the video ask for.
+fn video_constants(kind: Kind) -> Vec<(&'static str, f64)> {
+    let [a, b, c, d] = kind.video.constants();
+    vec![a, b, c, d, ("SH_COUNT", kind.sh_count as f64)]
+}
+
+/// What shaders of objects ask for besides.
+fn surface_constants(kind: Kind, surface: Surface, look: Look) -> Vec<(&'static str, f64)> {
+    let mut constants = video_constants(kind);
+    constants.extend([("SURFACE", f64::from(surface.index())), ("PLACE", flag(kind.place))]);
+    constants.push(("REFLECTIONS", f64::from(kind.reflections.index())));
+    constants.extend(look.constants());
+    constants
 }

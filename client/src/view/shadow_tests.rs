@@ -10,6 +10,7 @@ use mr360_protocol::scene::{Geometry, Material, Object, ObjectId, Scene, Shape, 
 use super::*;
 use crate::environment::light::tan_radius;
 use crate::render::{Models, Still, ambient_light};
+use crate::scene::mesh::Bounds;
 use crate::view::tests::panorama;
 
 pub(super) const GROUND_Y: f32 = -1.6;

@@ -1,0 +1,127 @@
+//! The layer of objects and changed ground, and the composite that puts it over the video.
+
+use mr360_shaders::source::Alpha;
+
+use super::extent::Part;
+use super::glass::is_glass;
+use super::pipelines::{Kind, Use};
+use super::resources::{Layer, VIEW_STRIDE};
+use super::room::Room;
+use super::{COMPOSITE, FrameReport, OBJECTS, Renderer, View, depth_attachment, draw_part, look_into, object_use, stage};
+use crate::environment::Environment;
+use crate::gpu::Gpu;
+
+impl Renderer {
+    /// The layer's targets, kept while they hold the part and are not far too large for it.
+    pub(super) fn make_layer(&mut self, gpu: &Gpu, at: usize, (part, image): (Part, (u32, u32)), glass: bool) {
+        let make = |room: &Room| Layer::new(&gpu.device, &self.layouts.layer, room.size(), self.samples, glass);
+        // Views before this one may have had nothing to draw.
+        while self.layers.len() <= at {
+            let mut room = Room::default();
+            room.make(part.size, image);
+            self.layers.push((room, make(&room)));
+        }
+        if let Some((room, layer)) = self.layers.get_mut(at)
+            && (room.make(part.size, image) || layer.glass.is_some() != glass)
+        {
+            *layer = make(room);
+        }
+    }
+
+    pub(super) fn draw_layer(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        environment: &Environment,
+        kind: Kind,
+        (at, view, part): (usize, &View<'_>, Part),
+        ground: bool,
+        report: &mut FrameReport,
+    ) {
+        let Some((_, layer)) = self.layers.get(at) else { return };
+        // Glass goes over the samples of what was drawn, and sees them resolved.
+        let (resolved, depth_store) = match &layer.glass {
+            Some(glass) => (&glass.drawn, wgpu::StoreOp::Store),
+            None => (&layer.resolved, wgpu::StoreOp::Discard),
+        };
+        let (target, resolve_target, store) = match &layer.samples {
+            Some(samples) => (samples, Some(resolved), depth_store),
+            None => (resolved, None, wgpu::StoreOp::Store),
+        };
+        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some(OBJECTS[at]),
+            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                view: target,
+                depth_slice: None,
+                resolve_target,
+                ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT), store },
+            })],
+            depth_stencil_attachment: Some(depth_attachment(&layer.depth, 0.0, depth_store)),
+            timestamp_writes: self.timer.pass(OBJECTS[at]),
+            ..wgpu::RenderPassDescriptor::default()
+        });
+        look_into(&mut pass, view, part);
+        pass.set_bind_group(0, &self.resources.frame, &[at as u32 * VIEW_STRIDE]);
+        pass.set_bind_group(1, environment.bind_group(), &[]);
+        pass.set_bind_group(2, environment.reflection_bind_group(), &[]);
+        for draw in self.stage.draws.iter().filter(|draw| draw.look.alpha != Alpha::Blend && !is_glass(draw)) {
+            report.draws += self.draw_object(&mut pass, kind, draw);
+        }
+        report.triangles += self.stage.triangles;
+        self.draw_place(&mut pass, kind, report);
+        // After the objects, so that ground they cover is not shaded. From beneath there is no ground to see.
+        let changed = (ground, Use::Ground);
+        let hiding = (report.plan.ground_hides && view.camera.position.y > self.stage.ground_y, Use::Horizon);
+        for (_, what) in [changed, hiding].into_iter().filter(|(drawn, _)| *drawn) {
+            if let Some(pipeline) = self.pipelines.get(kind, what) {
+                pass.set_pipeline(pipeline);
+                pass.draw(0..4, 0..1);
+                report.draws += 1;
+            }
+        }
+        // Over all that covers, ground too, which writes what is changed and not what is added to it.
+        for draw in self.stage.blended(view.camera.position).0 {
+            report.draws += self.draw_object(&mut pass, kind, draw);
+        }
+    }
+
+    /// Draws one, if its pipeline and model are there; the groups of frame, environment and reflections are set. Returns the draw calls.
+    pub(super) fn draw_object(&self, pass: &mut wgpu::RenderPass<'_>, kind: Kind, draw: &stage::Draw) -> u32 {
+        let Some(Ok(model)) = self.models.get(&draw.geometry) else { return 0 };
+        let Some(part) = model.parts.get(draw.part) else { return 0 };
+        let Some(pipeline) = self.pipelines.get(kind, object_use(draw)) else { return 0 };
+        pass.set_pipeline(pipeline);
+        pass.set_bind_group(3, if draw.own_material { &part.material } else { self.models.plain() }, &[]);
+        draw_part(pass, model, part, draw);
+        1
+    }
+
+    pub(super) fn composite(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        environment: &Environment,
+        kind: Kind,
+        (at, view): (usize, &View<'_>),
+        drawn: bool,
+        report: &mut FrameReport,
+    ) {
+        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some(COMPOSITE[at]),
+            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                view: view.target,
+                depth_slice: None,
+                resolve_target: None,
+                ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::BLACK), store: wgpu::StoreOp::Store },
+            })],
+            timestamp_writes: self.timer.pass(COMPOSITE[at]),
+            ..wgpu::RenderPassDescriptor::default()
+        });
+        let layer = self.layers.get(at).filter(|_| drawn).map_or(&self.resources.no_layer, |(_, layer)| &layer.group);
+        let Some(pipeline) = self.pipelines.get(kind, Use::Composite) else { return };
+        pass.set_pipeline(pipeline);
+        pass.set_bind_group(0, &self.resources.frame, &[at as u32 * VIEW_STRIDE]);
+        pass.set_bind_group(1, environment.bind_group(), &[]);
+        pass.set_bind_group(2, layer, &[]);
+        pass.draw(0..3, 0..1);
+        report.draws += 1;
+    }
+}
