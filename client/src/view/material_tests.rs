@@ -274,6 +274,22 @@ fn a_mask_cuts_along_its_cutoff_with_a_soft_edge() {
         }
     }
     assert!(soft >= SIDE / 2, "an edge of whole pixels only: {soft} of {SIDE} rows are soft");
+    // With one sample a pixel it cuts where the middle of the pixel is: 15 of them lie right of the edge.
+    let mut environment = Environment::new(&gpu).unwrap();
+    environment.upload(&gpu, &picture).unwrap();
+    let mut offscreen = crate::headless::Offscreen::new(&gpu.device, &gpu.queue, SIDE, SIDE);
+    let target = offscreen.target();
+    let mut renderer = Renderer::new(&gpu, target.format).unwrap();
+    renderer.set_light(&dark());
+    renderer.set_tier(Tier::LOWEST);
+    let stand = ahead(&file);
+    assert!(renderer.set_scene(&gpu, &stand.scene, &|id| stand.models.get(&id).cloned().map(Ok)).is_empty());
+    let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+    let view = View { camera: Camera::looking(0.0, 0.0, 0.8), target: &target.view, size: (SIDE, SIDE) };
+    let report = renderer.render(&gpu, &mut encoder, &mut environment, &[view]);
+    gpu.queue.submit([encoder.finish()]);
+    let white = offscreen.read().unwrap().chunks_exact(4).filter(|texel| *texel == [255; 4]).count();
+    assert_eq!((report.plan.samples, white), (1, 15 * SIDE as usize));
 }
 
 #[test]
