@@ -126,13 +126,16 @@ fn random_bytes_on_every_track_are_refused_and_survived() -> Result<()> {
         let now = moq_net::Timestamp::now();
         let length = sent as usize * 37 % 3000;
         // Some begin as the real ones do, so that what is behind the version is reached.
-        let versioned = |seed| [&[1][..], &noise(seed, length)].concat();
-        light.write_frame(now, if sent % 2 == 0 { noise(sent, length) } else { Bytes::from(versioned(sent)) })?;
+        let versioned = |version: u8, seed| [&[version][..], &noise(seed, length)].concat();
+        light.write_frame(
+            now,
+            if sent % 2 == 0 { noise(sent, length) } else { Bytes::from(versioned(<LightFrame as Message>::VERSION, sent)) },
+        )?;
         let mut group = video.append_group()?;
         group.write_frame(now, noise(sent + 1, length))?;
         group.write_frame(now, Bytes::from([&[0, 0, 0, 1, 0x65][..], &noise(sent + 2, length)].concat()))?;
         group.finish()?;
-        scenes.write_frame(now, Bytes::from(versioned(sent + 3)))?;
+        scenes.write_frame(now, Bytes::from(versioned(<SceneMessage as Message>::VERSION, sent + 3)))?;
         if sent % 1000 == 0 {
             scenes.finish()?;
             scenes = scene.append_group()?;
