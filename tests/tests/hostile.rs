@@ -8,7 +8,7 @@ use glam::Vec3;
 use mr360_protocol::asset::AssetId;
 use mr360_protocol::codec::Message;
 use mr360_protocol::join::JoinUrl;
-use mr360_protocol::light::LightFrame;
+use mr360_protocol::light::{Lift, LightFrame};
 use mr360_protocol::scene::{Action, Change, Geometry, Intent, Object, ObjectId, Scene, SceneMessage, Shape, Transform};
 use mr360_protocol::track;
 use mr360_protocol::transport::{self, Certificate, Listener, Roles};
@@ -113,6 +113,8 @@ fn random_bytes_on_every_track_are_refused_and_survived() -> Result<()> {
         animation: Default::default(),
     };
     let snapshot = SceneMessage::Snapshot(Scene { objects: vec![model], ..Scene::default() }).to_wire()?;
+    let dark = LightFrame { pts_us: 0, published_us: 0, lift: Lift::Linear, sh: vec![Vec3::ZERO; 9], lights: Vec::new() };
+    let versions = [dark.to_wire()?[0], snapshot[0]];
 
     let mut victim = viewer(&sandbox, &rogue.url, &["--duration", "8"])?;
     let mut scenes = scene.append_group()?;
@@ -127,15 +129,12 @@ fn random_bytes_on_every_track_are_refused_and_survived() -> Result<()> {
         let length = sent as usize * 37 % 3000;
         // Some begin as the real ones do, so that what is behind the version is reached.
         let versioned = |version: u8, seed| [&[version][..], &noise(seed, length)].concat();
-        light.write_frame(
-            now,
-            if sent % 2 == 0 { noise(sent, length) } else { Bytes::from(versioned(<LightFrame as Message>::VERSION, sent)) },
-        )?;
+        light.write_frame(now, if sent % 2 == 0 { noise(sent, length) } else { Bytes::from(versioned(versions[0], sent)) })?;
         let mut group = video.append_group()?;
         group.write_frame(now, noise(sent + 1, length))?;
         group.write_frame(now, Bytes::from([&[0, 0, 0, 1, 0x65][..], &noise(sent + 2, length)].concat()))?;
         group.finish()?;
-        scenes.write_frame(now, Bytes::from(versioned(<SceneMessage as Message>::VERSION, sent + 3)))?;
+        scenes.write_frame(now, Bytes::from(versioned(versions[1], sent + 3)))?;
         if sent % 1000 == 0 {
             scenes.finish()?;
             scenes = scene.append_group()?;
