@@ -51,7 +51,7 @@ fn neighbour_ratio(world: vec3<f32>, normal: vec3<f32>, own: u32) -> vec3<f32> {
     while i < lighting.occluder_count {
         let occluder = occluders[i];
         let factor = sphere_form_factor(occluder.center - world, occluder.radius, normal);
-        kept *= 1.0 - factor * (1.0 - occluder.albedo);
+        kept *= 1.0 - factor * (1.0 - occluder.albedo - occluder.specular);
         i = next_occluder(i + 1u, world, true, own);
     }
     return kept;

@@ -11,6 +11,7 @@ use crate::gpu::Gpu;
 use crate::scene::material::{Surface, Texture};
 use crate::scene::mesh::{Bounds, Mesh};
 use crate::scene::model::{LoadedModel, Model, ModelError};
+use crate::scene::occluder::{self, Sphere};
 use crate::scene::shapes;
 
 /// One draw's worth of geometry.
@@ -29,8 +30,22 @@ pub(super) struct GpuModel {
     pub(super) bounds: Bounds,
     /// A ball that fills its bounds.
     pub(super) round: bool,
-    /// Mean reflectance of the file's surfaces.
+    /// Mean reflectance of the file's surfaces in all directions.
     pub(super) albedo: Vec3,
+    /// And in mirror directions.
+    pub(super) specular: Vec3,
+    /// What stands for a mesh where it hides the sky, in the object's frame.
+    pub(super) cover: Vec<Sphere>,
+}
+
+/// What a surface sends back of light from everywhere, in all directions and in mirror directions: 1 together where it is
+/// white, as the shaders' `ambient_weights` have it.
+pub(super) fn reflectance(base_color: Vec3, metallic: f32) -> (Vec3, Vec3) {
+    let metallic = metallic.clamp(0.0, 1.0);
+    let f0 = Vec3::splat(0.04).lerp(base_color, metallic);
+    // Fresnel's term over the hemisphere (Schlick).
+    let specular = f0 + (1.0 - f0) / 21.0;
+    (base_color * (1.0 - metallic) * (1.0 - specular), specular)
 }
 
 /// Everything that has been loaded and is still in the scene.
@@ -100,25 +115,30 @@ impl Models {
             base_color_texture: None,
             metallic_roughness_texture: None,
         };
-        let (bounds, albedo) = (mesh.bounds(), surface.base_color);
-        GpuModel { parts: vec![part(gpu, &mesh, surface, self.plain.clone())], bounds, round: shape == Shape::Sphere, albedo }
+        let (bounds, (albedo, specular)) = (mesh.bounds(), reflectance(surface.base_color, surface.metallic));
+        let (parts, round) = (vec![part(gpu, &mesh, surface, self.plain.clone())], shape == Shape::Sphere);
+        GpuModel { parts, bounds, round, albedo, specular, cover: Vec::new() }
     }
 
     fn model(&self, gpu: &Gpu, model: &Model) -> GpuModel {
         let Model { parts, textures, bounds } = model;
         let views: Vec<_> = textures.iter().map(|texture| upload(gpu, texture)).collect();
         let view = |at: Option<usize>| at.and_then(|at| views.get(at)).unwrap_or(&self.white);
-        let mut albedo = Vec3::ZERO;
+        let (mut albedo, mut specular) = (Vec3::ZERO, Vec3::ZERO);
         let mut gpu_parts = Vec::with_capacity(parts.len());
         let total = parts.iter().map(|part| part.mesh.indices.len()).sum::<usize>().max(1) as f32;
         for one in parts {
             let mean = one.surface.base_color_texture.and_then(|at| textures.get(at)).map_or(Vec3::ONE, |texture| texture.mean);
-            albedo += one.surface.base_color * mean * (one.mesh.indices.len() as f32 / total);
+            let (matt, mirrored) = reflectance(one.surface.base_color * mean, one.surface.metallic);
+            let share = one.mesh.indices.len() as f32 / total;
+            albedo += matt * share;
+            specular += mirrored * share;
             let (color, metallic_roughness) = (view(one.surface.base_color_texture), view(one.surface.metallic_roughness_texture));
             let group = material_group(&gpu.device, &self.layout, color, metallic_roughness, &self.sampler);
             gpu_parts.push(part(gpu, &one.mesh, one.surface.clone(), group));
         }
-        GpuModel { parts: gpu_parts, bounds: *bounds, round: false, albedo }
+        let cover = occluder::of_surface(parts.iter().map(|part| &part.mesh), bounds);
+        GpuModel { parts: gpu_parts, bounds: *bounds, round: false, albedo, specular, cover }
     }
 }
 
