@@ -44,14 +44,25 @@ fn vs_object(
     );
 }
 
-// Ambient light kept by a surface beside other objects, and what they send back of their own colour.
-fn neighbour_ratio(world: vec3<f32>, normal: vec3<f32>, own: u32) -> vec3<f32> {
-    var kept = vec3(1.0);
+struct Kept {
+    diffuse: vec3<f32>,
+    specular: vec3<f32>,
+}
+
+// Ambient light kept by a surface beside other objects, over its hemisphere and in its lobe, and what they send back of their
+// own colour. A mirror keeps all of its light: in it, the spheres would show as what they are.
+fn neighbour_ratio(world: vec3<f32>, normal: vec3<f32>, mirror: vec3<f32>, roughness: f32, own: u32) -> Kept {
+    var kept = Kept(vec3(1.0), vec3(1.0));
+    let lobe_sr = lobe_solid_angle(roughness * roughness);
     var i = next_occluder(0u, world, true, own);
     while i < lighting.occluder_count {
         let occluder = occluders[i];
-        let factor = sphere_form_factor(occluder.center - world, occluder.radius, normal);
-        kept *= 1.0 - factor * (1.0 - occluder.albedo - occluder.specular);
+        let to_center = occluder.center - world;
+        let lost = 1.0 - occluder.albedo - occluder.specular;
+        kept.diffuse *= 1.0 - sphere_form_factor(to_center, occluder.radius, normal) * lost;
+        if SURFACE != SURFACE_MIRROR {
+            kept.specular *= 1.0 - sphere_in_lobe(to_center, occluder.radius, mirror, lobe_sr) * lost;
+        }
         i = next_occluder(i + 1u, world, true, own);
     }
     return kept;
@@ -114,9 +125,9 @@ fn fs_object(in: ObjectVertex, @builtin(front_facing) front: bool) -> @location(
 
     let f0 = surface_f0(albedo, metallic);
     let weights = ambient_weights(f0, albedo, metallic, max(dot(n, v), 0.0), roughness);
-    let kept = neighbour_ratio(in.world, n, in.object);
+    let kept = neighbour_ratio(in.world, n, mirror, roughness, in.object);
     let around = reflected(mirror, roughness, footprint_sr);
-    var radiance = weights.specular * around.radiance + weights.diffuse * kept * sh_irradiance(n) / PI;
+    var radiance = weights.specular * kept.specular * around.radiance + weights.diffuse * kept.diffuse * sh_irradiance(n) / PI;
 
     for (var i = 0u; i < lighting.light_count; i++) {
         let light = lighting.lights[i];

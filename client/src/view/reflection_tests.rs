@@ -11,7 +11,7 @@ use mr360_shaders::brdf::albedo;
 use mr360_shaders::sh::{basis25, irradiance};
 use mr360_shaders::source::Reflections;
 
-use super::tests::panorama;
+use super::tests::{self, panorama};
 use crate::camera::Camera;
 use crate::gpu::Gpu;
 use crate::picture::Picture;
@@ -278,5 +278,27 @@ fn neither_seam_nor_pole_nor_a_cube_s_edge_shows_in_a_lobe() {
             // Trilinear texels blur the disc, by more where it lies between them: 9 % in the middle of a face.
             assert!((nearest.0 / expected - 1.0).abs() < 0.12, "{direction}, roughness {roughness}: {} against {expected}", nearest.0);
         }
+    }
+}
+
+#[test]
+fn neighbours_hide_light_from_a_glossy_lobe() {
+    let gpu = Gpu::headless().unwrap();
+    let picture = panorama(64, 32, |_| Vec3::ONE);
+    let middle = |roughness: f32, black_at: Vec3| {
+        let metal = Material { base_color: [1.0; 3], roughness, metallic: 1.0, ..Material::default() };
+        let center = Vec3::new(0.0, 0.0, -3.0);
+        let objects =
+            vec![tests::object(1, Shape::Sphere, center, 0.6, metal), tests::object(2, Shape::Sphere, black_at, 0.6, tests::diffuse(0.0))];
+        let scene = Scene { ground_y: -100.0, objects, ..Scene::default() };
+        let camera = Camera::looking(0.0, 0.0, 0.5);
+        // Where the surface is turned by 45° to the right: its lobe looks along +x.
+        let at = center + Vec3::new(1.0, 0.0, 1.0).normalize() * 0.3;
+        tests::draw(&gpu, &picture, &ambient_light(&picture), &scene, &camera)[tests::pixel_of(&camera, at)].x
+    };
+    for (roughness, most) in [(0.3, 0.4), (0.5, 0.85), (1.0, 0.92)] {
+        let (beside, behind) = (middle(roughness, Vec3::new(0.9, 0.0, -2.8)), middle(roughness, Vec3::new(-0.9, 0.0, -3.4)));
+        assert!(beside < most, "roughness {roughness}: {beside}");
+        assert!((behind - 1.0).abs() < 0.01, "roughness {roughness}: {behind}");
     }
 }
