@@ -157,9 +157,7 @@ fn fs_glass(in: ObjectVertex) -> @location(0) vec4<f32> {
     let v = normalize(view.position - in.world);
     let n = normalize(in.normal);
     let mirror = reflect(-v, n);
-    let dx = dpdx(mirror);
-    let dy = dpdy(mirror);
-    let footprint_sr = min(length(cross(dx, dy)), 4.0 * PI) + 1e-9;
+    let footprint_sr = spanned(mirror);
     var tint = in.base_color.rgb;
     var roughness = in.base_color.a;
     if TEXTURED {

@@ -1,7 +1,6 @@
 // Virtual objects: spherical harmonics, reflections, and the detected lights with their shadows.
 
 #import "brdf.wgsl"
-#import "shadow.wgsl"
 #import "occlusion.wgsl"
 #import "reflection.wgsl"
 
@@ -68,6 +67,28 @@ fn neighbour_ratio(world: vec3<f32>, normal: vec3<f32>, mirror: vec3<f32>, rough
     return kept;
 }
 
+// What the mirror ray meets.
+struct Met {
+    // In which the panorama, taken at the world's origin, shows it.
+    direction: vec3<f32>,
+    // Share of its light that objects leave it.
+    ratio: vec3<f32>,
+}
+
+// The ground where the ray falls on it, else what is far away.
+fn met_by(world: vec3<f32>, mirror: vec3<f32>) -> Met {
+    let height_m = world.y - lighting.ground_y;
+    if mirror.y > -1e-4 || height_m <= 0.0 || lighting.ground_y >= 0.0 {
+        return Met(mirror, vec3(1.0));
+    }
+    let point = world - mirror * (height_m / mirror.y);
+    var ratio = vec3(1.0);
+    if all(point.xz > lighting.ground_min) && all(point.xz < lighting.ground_max) {
+        ratio = real_ratio(point, vec3(0.0, 1.0, 0.0), lighting.ground_ambient, lighting.ground_unshadowed);
+    }
+    return Met(normalize(point), ratio);
+}
+
 struct Reflected {
     radiance: vec3<f32>,
     // Shares of it that come from the spherical harmonics, which lack every light, and from the map, which lacks
@@ -76,22 +97,29 @@ struct Reflected {
     map_share: f32,
 }
 
+// Solid angle between the directions of neighbouring pixels.
+fn spanned(direction: vec3<f32>) -> f32 {
+    return min(length(cross(dpdx(direction), dpdy(direction))), 4.0 * PI) + 1e-9;
+}
+
 // Reflected radiance: the maps where the surface is smooth, spherical harmonics where it is rough.
-fn reflected(mirror: vec3<f32>, roughness: f32, footprint_sr: f32) -> Reflected {
+fn reflected(world: vec3<f32>, mirror: vec3<f32>, roughness: f32) -> Reflected {
     if SURFACE == SURFACE_ROUGH {
         return Reflected(sh_irradiance(mirror) / PI, 1.0, 0.0);
     }
+    let met = met_by(world, mirror);
+    let footprint_sr = spanned(met.direction);
+    let share = lobe_map_share(met.direction, roughness, footprint_sr);
     if SURFACE == SURFACE_MIRROR {
-        return Reflected(lobe_radiance(mirror, roughness, footprint_sr), 0.0, lobe_map_share(mirror, roughness, footprint_sr));
+        return Reflected(met.ratio * lobe_radiance(met.direction, roughness, footprint_sr), 0.0, share);
     }
     let rough = smoothstep(ROUGH_FROM, ROUGH_TO, roughness);
-    var sum = Reflected(vec3(0.0), rough, 0.0);
+    var sum = Reflected(vec3(0.0), rough, (1.0 - rough) * share);
     if rough > 0.0 {
         sum.radiance += rough * sh_irradiance(mirror) / PI;
     }
     if rough < 1.0 {
-        sum.radiance += (1.0 - rough) * lobe_radiance(mirror, roughness, footprint_sr);
-        sum.map_share = (1.0 - rough) * lobe_map_share(mirror, roughness, footprint_sr);
+        sum.radiance += (1.0 - rough) * met.ratio * lobe_radiance(met.direction, roughness, footprint_sr);
     }
     return sum;
 }
@@ -108,9 +136,7 @@ fn fs_object(in: ObjectVertex, @builtin(front_facing) front: bool) -> @location(
     let v = normalize(view.position - in.world);
     let n = normalize(select(-in.normal, in.normal, front));
     let mirror = reflect(-v, n);
-    let dx = dpdx(mirror);
-    let dy = dpdy(mirror);
-    let footprint_sr = min(length(cross(dx, dy)), 4.0 * PI) + 1e-9;
+    let footprint_sr = spanned(mirror);
     var albedo = in.base_color.rgb;
     var roughness = in.base_color.a;
     var metallic = in.metallic;
@@ -125,8 +151,8 @@ fn fs_object(in: ObjectVertex, @builtin(front_facing) front: bool) -> @location(
 
     let f0 = surface_f0(albedo, metallic);
     let weights = ambient_weights(f0, albedo, metallic, max(dot(n, v), 0.0), roughness);
+    let around = reflected(in.world, mirror, roughness);
     let kept = neighbour_ratio(in.world, n, mirror, roughness, in.object);
-    let around = reflected(mirror, roughness, footprint_sr);
     var radiance = weights.specular * kept.specular * around.radiance + weights.diffuse * kept.diffuse * sh_irradiance(n) / PI;
 
     for (var i = 0u; i < lighting.light_count; i++) {
