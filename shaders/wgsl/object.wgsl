@@ -75,8 +75,9 @@ struct Met {
     ratio: vec3<f32>,
 }
 
-// The ground where the ray falls on it, else what is far away.
-fn met_by(world: vec3<f32>, mirror: vec3<f32>) -> Met {
+// The ground where the ray falls on it, else what is far away. A lobe of GGX alpha a spans 2a/y² times the surface's height of
+// the ground about a ray of slope y; the more that is, the less of it is shade.
+fn met_by(world: vec3<f32>, mirror: vec3<f32>, roughness: f32) -> Met {
     let height_m = world.y - lighting.ground_y;
     if mirror.y > -1e-4 || height_m <= 0.0 || lighting.ground_y >= 0.0 {
         return Met(mirror, vec3(1.0));
@@ -84,7 +85,9 @@ fn met_by(world: vec3<f32>, mirror: vec3<f32>) -> Met {
     let point = world - mirror * (height_m / mirror.y);
     var ratio = vec3(1.0);
     if all(point.xz > lighting.ground_min) && all(point.xz < lighting.ground_max) {
-        ratio = real_ratio(point, vec3(0.0, 1.0, 0.0), lighting.ground_ambient, lighting.ground_unshadowed);
+        let span = 2.0 * roughness * roughness / (mirror.y * mirror.y);
+        let shaded = real_ratio(point, vec3(0.0, 1.0, 0.0), lighting.ground_ambient, lighting.ground_unshadowed);
+        ratio = mix(vec3(1.0), shaded, 1.0 / (1.0 + span * span));
     }
     return Met(normalize(point), ratio);
 }
@@ -107,7 +110,7 @@ fn reflected(world: vec3<f32>, mirror: vec3<f32>, roughness: f32) -> Reflected {
     if SURFACE == SURFACE_ROUGH {
         return Reflected(sh_irradiance(mirror) / PI, 1.0, 0.0);
     }
-    let met = met_by(world, mirror);
+    let met = met_by(world, mirror, roughness);
     let footprint_sr = spanned(met.direction);
     let share = lobe_map_share(met.direction, roughness, footprint_sr);
     if SURFACE == SURFACE_MIRROR {
