@@ -114,10 +114,14 @@ pub struct Occluder {
     pub center: [f32; 3],
     /// Metres.
     pub radius: f32,
-    /// Mean reflectance.
+    /// Mean reflectance in all directions.
     pub albedo: [f32; 3],
     /// Number of its object in the frame.
     pub object: u32,
+    /// Mean reflectance in mirror directions.
+    pub specular: [f32; 3],
+    /// Unused.
+    pub padding: f32,
 }
 
 /// `Instance`: one drawn part of an object.
@@ -463,7 +467,7 @@ mod tests {
                 ground_max
             }
         );
-        mirrors!(Object, Occluder { center, radius, albedo, object });
+        mirrors!(Object, Occluder { center, radius, albedo, object, specular, padding });
         mirrors!(Object, Instance { world_from_object, normal_from_object, base_color, roughness, metallic, glass, object, padding });
         mirrors!(Object, Video { rgb_from_yuv, bt709_from_primaries, eye_rect, yuv_offset, chroma_shift_u, recovery });
         mirrors!(Object, Recovery { slope, gain_ln, tint, padding });

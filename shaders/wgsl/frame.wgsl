@@ -66,8 +66,11 @@ struct Lighting {
 struct Occluder {
     center: vec3<f32>,
     radius: f32,
+    // Share of light sent back in all directions, and in mirror directions.
     albedo: vec3<f32>,
     object: u32,
+    specular: vec3<f32>,
+    padding: f32,
 }
 
 struct Instance {

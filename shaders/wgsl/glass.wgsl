@@ -168,9 +168,7 @@ fn glass_radiance(in: ObjectVertex, surface: SurfacePoint) -> vec4<f32> {
     let v = normalize(view.position - in.world);
     let n = surface.normal;
     let mirror = reflect(-v, n);
-    let dx = dpdx(mirror);
-    let dy = dpdy(mirror);
-    let footprint_sr = min(length(cross(dx, dy)), 4.0 * PI) + 1e-9;
+    let footprint_sr = spanned(mirror);
     if ALPHA == ALPHA_MASK && surface.alpha < material.alpha_cutoff {
         discard;
     }

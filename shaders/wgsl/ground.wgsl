@@ -1,7 +1,6 @@
 // The real surfaces, ground and meshes of the place, as catchers of shadows:
 // video × (irradiance with objects / irradiance without).
 
-#import "shadow.wgsl"
 #import "occlusion.wgsl"
 #import "video.wgsl"
 
@@ -17,42 +16,6 @@ fn vs_ground(@builtin(vertex_index) index: u32) -> GroundVertex {
     let at = mix(lighting.ground_min, lighting.ground_max, vec2(corner.x, 1.0 - corner.y));
     let world = vec3(at.x, lighting.ground_y, at.y);
     return GroundVertex(view.clip_from_world * vec4(world, 1.0), world);
-}
-
-// Irradiance on a real surface with the objects over irradiance without, per channel. Given are the irradiance from the
-// spherical harmonics, and from the lights without shadow maps.
-// What the place keeps from the surface is missing from both: where the video shows a shadow, there is no second one.
-// Objects take ambient light by hiding what is behind them, and give a part of it back: what the ground sends up to
-// them (reflectance g) and they send down again (albedo a), one bounce. Never more than they took: the ground
-// beside a contact is itself in shade, and a full series of bounces would glow there.
-fn real_ratio(world: vec3<f32>, normal: vec3<f32>, ambient: vec3<f32>, unshadowed: vec3<f32>) -> vec3<f32> {
-    var direct = unshadowed;
-    var before = ambient + unshadowed;
-    var changed = false;
-    for (var i = 0u; i < lighting.shadow_count; i++) {
-        let light = lighting.lights[i];
-        let falling = light.irradiance * (place_visibility(i, world, normal) * max(dot(light.direction, normal), 0.0));
-        let visibility = objects_visibility(i, world, normal);
-        changed = changed || (visibility < 1.0 && any(falling > vec3(0.0)));
-        before += falling;
-        direct += falling * visibility;
-    }
-    var kept = vec3(1.0);
-    var i = next_occluder(0u, world, false, 0u);
-    while i < lighting.occluder_count {
-        let occluder = occluders[i];
-        let to_center = occluder.center - world;
-        let factor = sphere_form_factor(to_center, occluder.radius, normal);
-        changed = changed || factor > 0.0;
-        let hidden = sh_radiance(normalize(to_center)) * PI / max(ambient, vec3(1e-6));
-        kept *= max(1.0 - factor * hidden * (1.0 - occluder.albedo * lighting.ground_reflectance), vec3(0.0));
-        i = next_occluder(i + 1u, world, false, 0u);
-    }
-    if !changed {
-        return vec3(1.0);
-    }
-    let ratio = (ambient * kept + direct) / max(before, vec3(1e-6));
-    return select(ratio, vec3(1.0), before <= vec3(1e-6));
 }
 
 // The video by this factor; nothing drawn where it is 1.

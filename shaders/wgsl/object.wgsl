@@ -1,7 +1,6 @@
 // Virtual objects: spherical harmonics, reflections, and the detected lights with their shadows.
 
 #import "brdf.wgsl"
-#import "shadow.wgsl"
 #import "occlusion.wgsl"
 #import "reflection.wgsl"
 #import "material.wgsl"
@@ -77,17 +76,53 @@ fn vs_object_detailed(
     );
 }
 
-// Ambient light kept by a surface beside other objects, and what they send back of their own colour.
-fn neighbour_ratio(world: vec3<f32>, normal: vec3<f32>, own: u32) -> vec3<f32> {
-    var kept = vec3(1.0);
+struct Kept {
+    diffuse: vec3<f32>,
+    specular: vec3<f32>,
+}
+
+// Ambient light kept by a surface beside other objects, over its hemisphere and in its lobe, and what they send back of their
+// own colour. A mirror keeps all of its light: in it, the spheres would show as what they are.
+fn neighbour_ratio(world: vec3<f32>, normal: vec3<f32>, mirror: vec3<f32>, roughness: f32, own: u32) -> Kept {
+    var kept = Kept(vec3(1.0), vec3(1.0));
+    let lobe_sr = lobe_solid_angle(roughness * roughness);
     var i = next_occluder(0u, world, true, own);
     while i < lighting.occluder_count {
         let occluder = occluders[i];
-        let factor = sphere_form_factor(occluder.center - world, occluder.radius, normal);
-        kept *= 1.0 - factor * (1.0 - occluder.albedo);
+        let to_center = occluder.center - world;
+        let lost = 1.0 - occluder.albedo - occluder.specular;
+        kept.diffuse *= 1.0 - sphere_form_factor(to_center, occluder.radius, normal) * lost;
+        if SURFACE != SURFACE_MIRROR {
+            kept.specular *= 1.0 - sphere_in_lobe(to_center, occluder.radius, mirror, lobe_sr) * lost;
+        }
         i = next_occluder(i + 1u, world, true, own);
     }
     return kept;
+}
+
+// What the mirror ray meets.
+struct Met {
+    // In which the panorama, taken at the world's origin, shows it.
+    direction: vec3<f32>,
+    // Share of its light that objects leave it.
+    ratio: vec3<f32>,
+}
+
+// The ground where the ray falls on it, else what is far away. A lobe of GGX alpha a spans 2a/y² times the surface's height of
+// the ground about a ray of slope y; the more that is, the less of it is shade.
+fn met_by(world: vec3<f32>, mirror: vec3<f32>, roughness: f32) -> Met {
+    let height_m = world.y - lighting.ground_y;
+    if mirror.y > -1e-4 || height_m <= 0.0 || lighting.ground_y >= 0.0 {
+        return Met(mirror, vec3(1.0));
+    }
+    let point = world - mirror * (height_m / mirror.y);
+    var ratio = vec3(1.0);
+    if all(point.xz > lighting.ground_min) && all(point.xz < lighting.ground_max) {
+        let span = 2.0 * roughness * roughness / (mirror.y * mirror.y);
+        let shaded = real_ratio(point, vec3(0.0, 1.0, 0.0), lighting.ground_ambient, lighting.ground_unshadowed);
+        ratio = mix(vec3(1.0), shaded, 1.0 / (1.0 + span * span));
+    }
+    return Met(normalize(point), ratio);
 }
 
 struct Reflected {
@@ -98,22 +133,29 @@ struct Reflected {
     map_share: f32,
 }
 
+// Solid angle between the directions of neighbouring pixels.
+fn spanned(direction: vec3<f32>) -> f32 {
+    return min(length(cross(dpdx(direction), dpdy(direction))), 4.0 * PI) + 1e-9;
+}
+
 // Reflected radiance: the maps where the surface is smooth, spherical harmonics where it is rough.
-fn reflected(mirror: vec3<f32>, roughness: f32, footprint_sr: f32) -> Reflected {
+fn reflected(world: vec3<f32>, mirror: vec3<f32>, roughness: f32) -> Reflected {
     if SURFACE == SURFACE_ROUGH {
         return Reflected(sh_irradiance(mirror) / PI, 1.0, 0.0);
     }
+    let met = met_by(world, mirror, roughness);
+    let footprint_sr = spanned(met.direction);
+    let share = lobe_map_share(met.direction, roughness, footprint_sr);
     if SURFACE == SURFACE_MIRROR {
-        return Reflected(lobe_radiance(mirror, roughness, footprint_sr), 0.0, lobe_map_share(mirror, roughness, footprint_sr));
+        return Reflected(met.ratio * lobe_radiance(met.direction, roughness, footprint_sr), 0.0, share);
     }
     let rough = smoothstep(ROUGH_FROM, ROUGH_TO, roughness);
-    var sum = Reflected(vec3(0.0), rough, 0.0);
+    var sum = Reflected(vec3(0.0), rough, (1.0 - rough) * share);
     if rough > 0.0 {
         sum.radiance += rough * sh_irradiance(mirror) / PI;
     }
     if rough < 1.0 {
-        sum.radiance += (1.0 - rough) * lobe_radiance(mirror, roughness, footprint_sr);
-        sum.map_share = (1.0 - rough) * lobe_map_share(mirror, roughness, footprint_sr);
+        sum.radiance += (1.0 - rough) * met.ratio * lobe_radiance(met.direction, roughness, footprint_sr);
     }
     return sum;
 }
@@ -130,9 +172,7 @@ fn shaded(in: ObjectVertex, surface: SurfacePoint) -> vec4<f32> {
     let v = normalize(view.position - in.world);
     let n = surface.normal;
     let mirror = reflect(-v, n);
-    let dx = dpdx(mirror);
-    let dy = dpdy(mirror);
-    let footprint_sr = min(length(cross(dx, dy)), 4.0 * PI) + 1e-9;
+    let footprint_sr = spanned(mirror);
     let albedo = surface.albedo;
     let roughness = surface.roughness;
     let metallic = surface.metallic;
@@ -142,13 +182,14 @@ fn shaded(in: ObjectVertex, surface: SurfacePoint) -> vec4<f32> {
 
     let f0 = surface_f0(albedo, metallic);
     let weights = ambient_weights(f0, albedo, metallic, max(dot(n, v), 0.0), roughness);
-    let kept = neighbour_ratio(in.world, n, in.object);
-    let around = reflected(mirror, roughness, footprint_sr);
-    var specular_kept = 1.0;
+    let around = reflected(in.world, mirror, roughness);
+    let kept = neighbour_ratio(in.world, n, mirror, roughness, in.object);
+    var specular_kept = kept.specular;
     if OCCLUSION_MAP {
-        specular_kept = specular_occlusion(surface.occlusion, max(dot(n, v), 0.0), roughness);
+        specular_kept *= specular_occlusion(surface.occlusion, max(dot(n, v), 0.0), roughness);
     }
-    var radiance = specular_kept * weights.specular * around.radiance + surface.occlusion * weights.diffuse * kept * sh_irradiance(n) / PI;
+    var radiance = specular_kept * weights.specular * around.radiance;
+    radiance += surface.occlusion * weights.diffuse * kept.diffuse * sh_irradiance(n) / PI;
 
     for (var i = 0u; i < lighting.light_count; i++) {
         let light = lighting.lights[i];

@@ -15,6 +15,7 @@ use crate::gpu::{Gpu, GpuError};
 use crate::scene::material::Surface;
 use crate::scene::mesh::Bounds;
 use crate::scene::model::{LoadedModel, Model, ModelError, Part};
+use crate::scene::occluder::{self, Sphere};
 use crate::scene::rig::Rig;
 use crate::scene::shapes;
 
@@ -38,8 +39,12 @@ pub(super) struct GpuModel {
     bounds: Bounds,
     /// A ball that fills its bounds.
     pub(super) round: bool,
-    /// Mean reflectance of the file's surfaces.
+    /// Mean reflectance of the file's surfaces in all directions.
     pub(super) albedo: Vec3,
+    /// And in mirror directions.
+    pub(super) specular: Vec3,
+    /// What stands for a mesh at rest where it hides the sky, in the object's frame.
+    pub(super) cover: Vec<Sphere>,
     source: Option<Arc<Model>>,
     /// Made for the first animation that is played.
     sources: Option<Sources>,
@@ -89,6 +94,16 @@ impl GpuModel {
     pub(super) fn vertices<'a>(&'a self, at: usize, part: &'a GpuPart, animation: Option<usize>) -> &'a wgpu::Buffer {
         animation.and_then(|animation| self.playing.get(&animation)?.vertices(at)).unwrap_or(&part.vertices)
     }
+}
+
+/// What a surface sends back of light from everywhere, in all directions and in mirror directions: 1 together where it is
+/// white, as the shaders' `ambient_weights` have it.
+pub(super) fn reflectance(base_color: Vec3, metallic: f32) -> (Vec3, Vec3) {
+    let metallic = metallic.clamp(0.0, 1.0);
+    let f0 = Vec3::splat(0.04).lerp(base_color, metallic);
+    // Fresnel's term over the hemisphere (Schlick).
+    let specular = f0 + (1.0 - f0) / 21.0;
+    (base_color * (1.0 - metallic) * (1.0 - specular), specular)
 }
 
 /// Everything that has been loaded and is still in the scene.
@@ -180,28 +195,34 @@ impl Models {
     fn shape(&self, gpu: &Gpu, shape: Shape) -> GpuModel {
         let mesh = shapes::mesh(shape);
         let surface = Surface { base_color: Vec3::splat(0.8), double_sided: shape == Shape::Plane, ..Surface::default() };
-        let (bounds, albedo) = (mesh.bounds(), surface.base_color);
+        let (bounds, (albedo, specular)) = (mesh.bounds(), reflectance(surface.base_color, surface.metallic));
         let one = Part { mesh, details: Vec::new(), surface };
-        let parts = vec![part(gpu, &one, self.plain.clone())];
-        GpuModel { parts, bounds, round: shape == Shape::Sphere, albedo, source: None, sources: None, playing: HashMap::new() }
+        let (parts, round) = (vec![part(gpu, &one, self.plain.clone())], shape == Shape::Sphere);
+        let (source, sources, playing) = (None, None, HashMap::new());
+        GpuModel { parts, bounds, round, albedo, specular, cover: Vec::new(), source, sources, playing }
     }
 
     fn model(&mut self, gpu: &Gpu, model: Arc<Model>) -> GpuModel {
         let Model { parts, textures, bounds, .. } = &*model;
         let views: Vec<_> = textures.iter().map(|texture| upload(gpu, texture)).collect();
-        let mut albedo = Vec3::ZERO;
+        let (mut albedo, mut specular) = (Vec3::ZERO, Vec3::ZERO);
         let mut gpu_parts = Vec::with_capacity(parts.len());
         let total = parts.iter().map(|part| part.mesh.indices.len()).sum::<usize>().max(1) as f32;
         for one in parts {
             let texture = one.surface.base_color_texture.and_then(|map| textures.get(map.texture));
             let mean = texture.map_or(Vec3::ONE, |texture| texture.mean);
-            albedo += one.surface.base_color * mean * (one.mesh.indices.len() as f32 / total);
+            let (matt, mirrored) = reflectance(one.surface.base_color * mean, one.surface.metallic);
+            let share = one.mesh.indices.len() as f32 / total;
+            albedo += matt * share;
+            specular += mirrored * share;
             let group = self.materials.group(gpu, &one.surface, &views);
             gpu_parts.push(part(gpu, one, group));
         }
+        let cover = occluder::of_surface(parts.iter().map(|part| &part.mesh), bounds);
         let bounds = *bounds;
         let source = model.rig.is_some().then_some(model);
-        GpuModel { parts: gpu_parts, bounds, round: false, albedo, source, sources: None, playing: HashMap::new() }
+        let (round, sources, playing) = (false, None, HashMap::new());
+        GpuModel { parts: gpu_parts, bounds, round, albedo, specular, cover, source, sources, playing }
     }
 }
 

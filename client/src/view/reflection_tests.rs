@@ -11,7 +11,7 @@ use mr360_shaders::brdf::albedo;
 use mr360_shaders::sh::{basis25, irradiance};
 use mr360_shaders::source::Reflections;
 
-use super::tests::panorama;
+use super::tests::{self, panorama};
 use crate::camera::Camera;
 use crate::gpu::Gpu;
 use crate::picture::Picture;
@@ -284,5 +284,88 @@ fn neither_seam_nor_pole_nor_a_cube_s_edge_shows_in_a_lobe() {
             // Trilinear texels blur the disc, by more where it lies between them: 9 % in the middle of a face.
             assert!((nearest.0 / expected - 1.0).abs() < 0.12, "{direction}, roughness {roughness}: {} against {expected}", nearest.0);
         }
+    }
+}
+
+/// Pixels that show a mirror ball clear of its rim, where one spans much of the ground, and where their rays fall on it.
+fn falls(camera: &Camera, center: Vec3, radius: f32, ground_y: f32) -> Vec<(usize, Vec3)> {
+    let fall = |i: usize| {
+        let ray = tests::ray_of(camera, i);
+        let along = ray.dot(center);
+        let root = along * along - center.length_squared() + radius * radius;
+        let point = ray * (along - root.max(0.0).sqrt());
+        let normal = (point - center) / radius;
+        let mirror = ray - normal * (2.0 * ray.dot(normal));
+        let clear = root > 0.4 * radius * radius && mirror.y < -0.3;
+        clear.then(|| (i, point + mirror * ((ground_y - point.y) / mirror.y)))
+    };
+    (0..(tests::SIZE.0 * tests::SIZE.1) as usize).filter_map(fall).collect()
+}
+
+#[test]
+fn a_mirror_shows_the_ground_where_its_rays_fall() {
+    let gpu = Gpu::headless().unwrap();
+    let (ground_y, center, radius) = (-1.6, Vec3::new(0.0, -0.4, -3.0), 0.4);
+    // Stripes a metre wide, light and dark, as they look from where the panorama was taken.
+    let light = |point: Vec3| point.z.floor() as i32 & 1 == 0;
+    let picture = panorama(2048, 1024, |d| match d.y {
+        y if y >= -0.05 => Vec3::splat(0.5),
+        y => Vec3::splat(if light(d / y * ground_y) { 0.9 } else { 0.1 }),
+    });
+    let ball = tests::object(1, Shape::Sphere, center, 2.0 * radius, tests::mirror());
+    let camera = Camera::looking(0.0, -0.13, 0.3);
+    let drawn = tests::draw(&gpu, &picture, &ambient_light(&picture), &tests::scene(vec![ball]), &camera);
+    let falls = falls(&camera, center, radius, ground_y);
+    // As high as the ball hangs, its shade takes no more than half. The rest are edges of stripes.
+    let right = falls.iter().filter(|(i, point)| (drawn[*i].x > 0.3) == light(*point)).count();
+    assert!(falls.len() > 500 && right * 100 > falls.len() * 85, "{right} of {}", falls.len());
+}
+
+#[test]
+fn a_mirror_shows_the_shade_on_the_ground() {
+    let gpu = Gpu::headless().unwrap();
+    let picture = panorama(64, 32, |_| Vec3::ONE);
+    let (center, radius, foot) = (Vec3::new(0.0, -0.7, -3.0), 0.4, Vec3::new(0.7, -1.6, -2.4));
+    let mirror = tests::object(1, Shape::Sphere, center, 2.0 * radius, tests::mirror());
+    let black = tests::object(2, Shape::Sphere, foot + Vec3::Y * 0.2, 0.4, tests::diffuse(0.0));
+    let camera = Camera::looking(0.0, -0.2, 0.3);
+    let draw = |objects: &[Object]| tests::draw(&gpu, &picture, &ambient_light(&picture), &tests::scene(objects.to_vec()), &camera);
+    let drawn = draw(&[mirror.clone(), black.clone()]);
+    let hidden = draw(&[black]);
+    let (mut near, mut far) = (0, 0);
+    for (i, point) in falls(&camera, center, radius, -1.6) {
+        if hidden[i].x < 0.5 {
+            // The black ball stands before the mirror.
+        } else if point.distance(foot) < 0.15 {
+            near += 1;
+            // From within 0.15 m of its foot, a ball of 0.2 m hides at least half of the sky.
+            assert!(drawn[i].x < 0.55, "{point}: {}", drawn[i].x);
+        } else if point.distance(foot) > 1.1 {
+            far += 1;
+            assert!(drawn[i].x > 0.98, "{point}: {}", drawn[i].x);
+        }
+    }
+    assert!(near > 5 && far > 20, "{near} {far}");
+}
+
+#[test]
+fn neighbours_hide_light_from_a_glossy_lobe() {
+    let gpu = Gpu::headless().unwrap();
+    let picture = panorama(64, 32, |_| Vec3::ONE);
+    let middle = |roughness: f32, black_at: Vec3| {
+        let metal = Material { base_color: [1.0; 3], roughness, metallic: 1.0, ..Material::default() };
+        let center = Vec3::new(0.0, 0.0, -3.0);
+        let objects =
+            vec![tests::object(1, Shape::Sphere, center, 0.6, metal), tests::object(2, Shape::Sphere, black_at, 0.6, tests::diffuse(0.0))];
+        let scene = Scene { ground_y: -100.0, objects, ..Scene::default() };
+        let camera = Camera::looking(0.0, 0.0, 0.5);
+        // Where the surface is turned by 45° to the right: its lobe looks along +x.
+        let at = center + Vec3::new(1.0, 0.0, 1.0).normalize() * 0.3;
+        tests::draw(&gpu, &picture, &ambient_light(&picture), &scene, &camera)[tests::pixel_of(&camera, at)].x
+    };
+    for (roughness, most) in [(0.3, 0.4), (0.5, 0.85), (1.0, 0.92)] {
+        let (beside, behind) = (middle(roughness, Vec3::new(0.9, 0.0, -2.8)), middle(roughness, Vec3::new(-0.9, 0.0, -3.4)));
+        assert!(beside < most, "roughness {roughness}: {beside}");
+        assert!((behind - 1.0).abs() < 0.01, "roughness {roughness}: {behind}");
     }
 }

@@ -441,6 +441,32 @@ fn what_reaches_beneath_the_ground_is_hidden_and_keeps_its_shadow() {
 }
 
 #[test]
+fn a_mirror_gives_the_ground_light_back() {
+    let gpu = Gpu::headless().unwrap();
+    // Bright above and dark below: most of what a mirror ball sends down comes from the sky, a matt one only has the ground's.
+    let picture = panorama(64, 32, |d| Vec3::splat(if d.y > 0.0 { 1.0 } else { 0.1 }));
+    let camera = Camera::looking(0.0, -0.4, 0.8);
+    let size = (64, 64);
+    let beside = |metallic: f32, roughness: f32, base_color: f32| {
+        let material = Some(Material { base_color: [base_color; 3], roughness, metallic, ..Material::default() });
+        let ball = Solid::Ball { center: Vec3::new(0.0, GROUND_Y + 0.5, -4.0), radius: 0.5 };
+        let scene = Scene { ground_y: GROUND_Y, objects: vec![Object { material, ..ball.object(1) }], ..Scene::default() };
+        let light = ambient_light(&picture);
+        let still = Still { gpu: &gpu, picture: &picture, light: &light, scene: &scene, assets: &HashMap::new() };
+        let bytes = still.draw(&camera, size, wgpu::TextureFormat::Rgba32Float).unwrap();
+        let at = (camera.clip_from_view(1.0) * camera.view_from_world()).project_point3(Vec3::new(0.0, GROUND_Y, -3.6));
+        let pixel = (32.0 - at.y * 32.0) as usize * 64 + 32;
+        bytemuck::pod_collect_to_vec::<u8, f32>(&bytes)[4 * pixel] / 0.1
+    };
+    let (black, matt, metal, mirror) = (beside(0.0, 1.0, 0.0), beside(0.0, 1.0, 0.9), beside(1.0, 0.5, 0.9), beside(1.0, 0.0, 0.9));
+    assert!((metal - mirror).abs() < 1e-3, "as much whatever the roughness: {metal} {mirror}");
+    // The ball hides the factor f, and a mirror of reflectance ρ gives back ρ (½ sky + ½ ground): about ρ/2 of what it took.
+    let given_back = (mirror - black) / (1.0 - black);
+    assert!((0.38..0.62).contains(&given_back), "{given_back}: {black} {mirror}");
+    assert!(matt - black < 0.4 * (mirror - black), "{black} {matt} {mirror}");
+}
+
+#[test]
 fn occluders_beyond_the_most_are_counted() {
     let gpu = Gpu::headless().unwrap();
     let mut renderer = Renderer::new(&gpu, wgpu::TextureFormat::Rgba8Unorm).unwrap();

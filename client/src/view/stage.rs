@@ -9,7 +9,7 @@ use mr360_shaders::layout::{self, MAX_OCCLUDERS};
 use mr360_shaders::source::{Alpha, OCCLUDER_REACH, Surface};
 
 use super::material::Look;
-use super::models::{GpuModel, GpuPart, Models};
+use super::models::{GpuModel, GpuPart, Models, reflectance};
 use super::place::Place;
 use super::plan::{SceneNeeds, reflects};
 use super::poses::MAX_POSED_VERTICES;
@@ -320,20 +320,25 @@ fn instance(placed: &Placed<'_>, part: &GpuPart) -> layout::Instance {
 fn occluders(placed: &[Placed<'_>]) -> (Vec<layout::Occluder>, usize) {
     let spheres_of = |placed: &Placed<'_>, detailed: bool| {
         let (transform, model) = (placed.object.transform, placed.model);
-        let spheres = if detailed {
+        let spheres = if detailed && !model.cover.is_empty() {
+            model.cover.iter().map(|sphere| sphere.scaled(transform.scale)).collect()
+        } else if detailed {
             occluder::cover(&placed.bounds, transform.scale, model.round)
         } else {
             vec![occluder::single(&placed.bounds, transform.scale)]
         };
-        let albedo = placed.object.material.map_or(model.albedo, |material| Vec3::from_array(material.base_color));
+        let (albedo, specular) =
+            placed.object.material.map_or((model.albedo, model.specular), |own| reflectance(own.base_color.into(), own.metallic));
         let object = placed.object.id.0;
         // A model fills only a part of its box: half of it on average, 0.8 of each side.
-        let filled = if matches!(placed.object.geometry, Geometry::Model(_)) { 0.8 } else { 1.0 };
+        let filled = if model.cover.is_empty() || detailed { 1.0 } else { 0.8 };
         spheres.into_iter().map(move |sphere| layout::Occluder {
             center: (transform.position + transform.rotation * sphere.center).to_array(),
             radius: sphere.radius * filled,
             albedo: albedo.to_array(),
             object,
+            specular: specular.to_array(),
+            padding: 0.0,
         })
     };
     let mut all: Vec<_> = placed.iter().flat_map(|p| spheres_of(p, true)).collect();
