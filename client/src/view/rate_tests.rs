@@ -26,16 +26,7 @@ fn light_between_two_pictures_is_between_theirs_and_reflections_stay_the_picture
     next.sh.iter_mut().for_each(|c| *c *= 1.1);
     let (chalk, mirror_at) = (Vec3::new(-0.6, -1.0, -3.5), Vec3::new(0.6, -1.0, -3.5));
     let balls = scene(vec![object(1, Shape::Sphere, chalk, 1.0, diffuse(0.5)), object(2, Shape::Sphere, mirror_at, 1.0, mirror())]);
-    let target = gpu.device.create_texture(&wgpu::TextureDescriptor {
-        label: None,
-        size: wgpu::Extent3d { width: SIZE.0, height: SIZE.1, depth_or_array_layers: 1 },
-        mip_level_count: 1,
-        sample_count: 1,
-        dimension: wgpu::TextureDimension::D2,
-        format: wgpu::TextureFormat::Rgba32Float,
-        usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC,
-        view_formats: &[],
-    });
+    let target = crate::render::target(&gpu, SIZE, wgpu::TextureFormat::Rgba32Float);
     let view = target.create_view(&wgpu::TextureViewDescriptor::default());
     let mut environment = Environment::new(&gpu).unwrap();
     environment.upload(&gpu, &picture).unwrap();

@@ -214,16 +214,7 @@ fn untouched_pixels_have_the_same_bits_and_removal_restores_all() {
         assert_eq!(empty[..top], full[..top], "{format:?}");
     }
     // One renderer, objects set and removed again.
-    let target = gpu.device.create_texture(&wgpu::TextureDescriptor {
-        label: None,
-        size: wgpu::Extent3d { width: SIZE.0, height: SIZE.1, depth_or_array_layers: 1 },
-        mip_level_count: 1,
-        sample_count: 1,
-        dimension: wgpu::TextureDimension::D2,
-        format: wgpu::TextureFormat::Rgba8Unorm,
-        usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC,
-        view_formats: &[],
-    });
+    let target = crate::render::target(&gpu, SIZE, wgpu::TextureFormat::Rgba8Unorm);
     let view = target.create_view(&wgpu::TextureViewDescriptor::default());
     let mut environment = Environment::new(&gpu).unwrap();
     environment.upload(&gpu, &picture).unwrap();

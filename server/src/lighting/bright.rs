@@ -59,8 +59,8 @@ impl Bright {
         Self { sources: Vec::with_capacity(MOST_OBSERVATIONS) }
     }
 
-    /// Measures the candidates, and takes the share `pooled` off what recovery gave their single channels; returns how much that is. `moved` is told its
-    /// direction and irradiance.
+    /// Measures the candidates, and takes the share `pooled` off what recovery gave their single channels; returns how much that is.
+    /// `moved` is told its direction and irradiance.
     pub(super) fn measure(&mut self, scene: &Scene<'_>, candidates: &[Candidate], pooled: f64, mut moved: impl FnMut(Vec3, DVec3)) -> f64 {
         self.sources.clear();
         let mut given = 0.0;
