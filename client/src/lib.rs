@@ -10,6 +10,7 @@ pub mod environment;
 pub mod frame_loop;
 pub mod governor;
 pub mod gpu;
+pub mod hands;
 pub mod headless;
 pub mod join;
 pub mod overlay;
