@@ -162,6 +162,13 @@ impl Governor {
         Self { budget_us: Some(interval_us.max(1) as f32), settling: 4 * SETTLE, ..Self::fixed(Tier::FULL) }
     }
 
+    /// The display turns out to show a frame every so many microseconds. Says nothing to one that keeps its tier.
+    pub fn set_interval(&mut self, interval_us: u32) {
+        if let Some(budget_us) = &mut self.budget_us {
+            *budget_us = interval_us.max(1) as f32;
+        }
+    }
+
     /// The tier of the next frame.
     #[must_use]
     pub fn tier(&self) -> Tier {

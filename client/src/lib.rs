@@ -22,7 +22,9 @@ pub mod scene;
 pub mod stats;
 pub mod sync;
 pub mod view;
+pub mod viewpoint;
 pub mod window;
+pub mod xr;
 
 /// Why a command of the client ended before it was done.
 pub type Failure = mr360_protocol::failure::Failure<anyhow::Error>;

@@ -128,6 +128,8 @@ pub enum Module {
     Ground,
     /// Video and objects to the target.
     Composite,
+    /// Depth of a whole view.
+    Depth,
     /// What is told of a frame, over the view.
     Overlay,
     /// Light kernels at given directions, for tests against their CPU twins.
@@ -138,7 +140,7 @@ pub enum Module {
 
 impl Module {
     /// Every module.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 14] = [
         Self::EnvironmentLift,
         Self::EnvironmentMip,
         Self::EnvironmentPrefilter,
@@ -149,6 +151,7 @@ impl Module {
         Self::Glass,
         Self::Ground,
         Self::Composite,
+        Self::Depth,
         Self::Overlay,
         Self::Probe,
         Self::BrdfProbe,
@@ -168,6 +171,7 @@ impl Module {
             Self::Glass => "glass.wgsl",
             Self::Ground => "ground.wgsl",
             Self::Composite => "composite.wgsl",
+            Self::Depth => "depth.wgsl",
             Self::Overlay => "overlay.wgsl",
             Self::Probe => "probe.wgsl",
             Self::BrdfProbe => "brdf_probe.wgsl",
@@ -207,6 +211,7 @@ files![
     "cube.wgsl",
     "cutout.wgsl",
     "deform.wgsl",
+    "depth.wgsl",
     "environment_lift.wgsl",
     "environment_mip.wgsl",
     "environment_prefilter.wgsl",

@@ -1,14 +1,15 @@
-//! What a frame costs and does, and where its lights are, over the view's upper left corner.
+//! What a frame costs and does, and where its lights are, over the view.
 
 mod canvas;
 
-use glam::{IVec2, Vec3};
+use glam::{IVec2, Vec2, Vec3};
 use mr360_shaders::colour::{luminance, srgb_encode};
 use mr360_shaders::equirect::uv_from_direction;
 use mr360_shaders::source::Module;
 
+use crate::camera::{Camera, FieldOfView};
 use crate::environment::FrameLight;
-use crate::frame_loop::Drawn;
+use crate::frame_loop::{Drawn, Shot};
 use crate::gpu::{Gpu, GpuError};
 use canvas::{CELL, Canvas, Colour};
 
@@ -16,6 +17,8 @@ use canvas::{CELL, Canvas, Colour};
 const SIZE: IVec2 = IVec2::new(176, 176);
 /// Each is shown as so many pixels of the view, squared, and as far from its corner.
 const SCALE: u32 = 2;
+/// Where a headset shows the upper left corner: tangents of the angles from the first view's axis, to the right and up.
+const CORNER: Vec2 = Vec2::new(-0.4, 0.35);
 /// Room around what is drawn.
 const MARGIN: i32 = 4;
 /// The panorama with its lights.
@@ -75,33 +78,51 @@ impl Overlay {
         Ok(Self { canvas: Canvas::new(SIZE), texture, group, pipeline })
     }
 
-    /// Records the overlay over what `target`, of `size` pixels, already shows.
-    pub fn draw(
-        &mut self,
-        gpu: &Gpu,
-        encoder: &mut wgpu::CommandEncoder,
-        (target, size): (&wgpu::TextureView, (u32, u32)),
-        told: &Told<'_>,
-    ) {
+    /// Records the overlay over what the shots' targets already show: in the upper left corner of a picture, and in a headset, whose corners
+    /// nobody sees, in the same direction for both eyes.
+    pub fn draw(&mut self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder, shots: &[Shot], told: &Told<'_>) {
         paint(&mut self.canvas, told);
         let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(4 * SIZE.x as u32), rows_per_image: None };
         gpu.queue.write_texture(self.texture.as_image_copy(), self.canvas.texels(), layout, extent());
-        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-            label: Some("overlay"),
-            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-                view: target,
-                depth_slice: None,
-                resolve_target: None,
-                ops: wgpu::Operations { load: wgpu::LoadOp::Load, store: wgpu::StoreOp::Store },
-            })],
-            ..wgpu::RenderPassDescriptor::default()
-        });
-        let shown = [SIZE.x, SIZE.y].map(|side| SCALE * side as u32);
-        pass.set_pipeline(&self.pipeline);
-        pass.set_bind_group(0, &self.group, &[]);
-        pass.set_scissor_rect(0, 0, shown[0].min(size.0), shown[1].min(size.1));
-        pass.draw(0..3, 0..1);
+        for shot in shots {
+            let origin = origin(&shots[0].camera, shot);
+            let size = IVec2::new(shot.target.width as i32, shot.target.height as i32);
+            let (low, high) = (origin.clamp(IVec2::ZERO, size), (origin + SCALE as i32 * SIZE).clamp(IVec2::ZERO, size));
+            if (high - low).min_element() <= 0 {
+                continue;
+            }
+            let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+                label: Some("overlay"),
+                color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                    view: &shot.target.view,
+                    depth_slice: None,
+                    resolve_target: None,
+                    ops: wgpu::Operations { load: wgpu::LoadOp::Load, store: wgpu::StoreOp::Store },
+                })],
+                ..wgpu::RenderPassDescriptor::default()
+            });
+            let shown = (SCALE as i32 * SIZE).as_vec2();
+            pass.set_pipeline(&self.pipeline);
+            pass.set_bind_group(0, &self.group, &[]);
+            pass.set_viewport(origin.x as f32, origin.y as f32, shown.x, shown.y, 0.0, 1.0);
+            pass.set_scissor_rect(low.x as u32, low.y as u32, (high.x - low.x) as u32, (high.y - low.y) as u32);
+            pass.draw(0..4, 0..1);
+        }
     }
+}
+
+/// The overlay's upper left pixel.
+fn origin(first: &Camera, shot: &Shot) -> IVec2 {
+    let FieldOfView::Edges(_) = first.fov else { return IVec2::ZERO };
+    let towards = first.world_from_view * Vec3::new(CORNER.x, CORNER.y, -1.0);
+    let size = Vec2::new(shot.target.width as f32, shot.target.height as f32);
+    // As far away as the panorama.
+    let seen = shot.camera.clip_from_view(size.x / size.y.max(1.0)) * (shot.camera.world_from_view.inverse() * towards).extend(1.0);
+    if seen.w <= 1e-3 {
+        return size.as_ivec2();
+    }
+    let ndc = (seen.truncate().truncate() / seen.w).clamp(Vec2::splat(-2.0), Vec2::splat(2.0));
+    ((ndc * Vec2::new(0.5, -0.5) + 0.5) * size).as_ivec2()
 }
 
 fn extent() -> wgpu::Extent3d {
@@ -111,23 +132,23 @@ fn extent() -> wgpu::Extent3d {
 fn pipeline(gpu: &Gpu, shader: &wgpu::ShaderModule, format: wgpu::TextureFormat) -> wgpu::RenderPipeline {
     let target =
         wgpu::ColorTargetState { format, blend: Some(wgpu::BlendState::PREMULTIPLIED_ALPHA_BLENDING), write_mask: wgpu::ColorWrites::ALL };
-    let constants = [("SCALE", f64::from(SCALE))];
+    let constants = [("WIDTH", f64::from(SIZE.x)), ("HEIGHT", f64::from(SIZE.y))];
     gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
         label: Some("overlay"),
         layout: None,
         vertex: wgpu::VertexState {
             module: shader,
-            entry_point: Some("vs_fullscreen"),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            entry_point: Some("vs_overlay"),
+            compilation_options: wgpu::PipelineCompilationOptions { constants: &constants, ..Default::default() },
             buffers: &[],
         },
-        primitive: wgpu::PrimitiveState::default(),
+        primitive: wgpu::PrimitiveState { topology: wgpu::PrimitiveTopology::TriangleStrip, ..Default::default() },
         depth_stencil: None,
         multisample: wgpu::MultisampleState::default(),
         fragment: Some(wgpu::FragmentState {
             module: shader,
             entry_point: Some("fs_overlay"),
-            compilation_options: wgpu::PipelineCompilationOptions { constants: &constants, ..Default::default() },
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
             targets: &[Some(target)],
         }),
         multiview_mask: None,
@@ -185,6 +206,7 @@ mod tests {
     use mr360_protocol::light::DirectionalLight;
 
     use super::*;
+    use crate::camera::Edges;
     use crate::governor::Tier;
     use crate::headless::Offscreen;
     use crate::stats::PassTime;
@@ -224,8 +246,8 @@ mod tests {
         let mut overlay = Overlay::new(&gpu, Offscreen::FORMAT).unwrap();
         let (drawn, light) = (Drawn::default(), light(Vec3::X, Vec3::new(1.0, 0.0, 0.0)));
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        let target = offscreen.target();
-        overlay.draw(&gpu, &mut encoder, (&target.view, (400, 400)), &told(&drawn, &light));
+        let shot = Shot { camera: Camera::looking(0.0, 0.0, 1.0), target: offscreen.target() };
+        overlay.draw(&gpu, &mut encoder, &[shot], &told(&drawn, &light));
         gpu.queue.submit([encoder.finish()]);
         let texels = offscreen.read().unwrap();
         let at = |x: usize, y: usize| <[u8; 4]>::try_from(&texels[4 * (400 * y + x)..][..4]).unwrap();
@@ -234,5 +256,26 @@ mod tests {
         assert_eq!((at(260, 60)[0], at(0, 0)[3]), (0, PAPER[3]));
         // Beyond its edge the target is as it was.
         assert_eq!((at(352, 10), at(10, 352)), ([0; 4], [0; 4]));
+    }
+
+    #[test]
+    fn both_eyes_of_a_headset_see_it_in_one_direction() {
+        let gpu = Gpu::headless().unwrap();
+        let offscreen = Offscreen::new(&gpu.device, &gpu.queue, 1000, 1000);
+        // Mirrored fields of view, the right eye canted outwards.
+        let left = Edges::from_angles(-0.9, 0.6, -0.8, 0.7).unwrap();
+        let right = Edges { left: -left.right, right: -left.left, ..left };
+        let eye = |edges, yaw: f32| Camera { fov: FieldOfView::Edges(edges), ..Camera::looking(yaw, 0.0, 1.0) };
+        let cameras = [eye(left, 0.0), eye(right, -0.1)];
+        let shown = cameras.map(|camera| {
+            let at = origin(&cameras[0], &Shot { camera, target: offscreen.target() });
+            let ndc = at.as_vec2() / 1000.0 * Vec2::new(2.0, -2.0) + Vec2::new(-1.0, 1.0);
+            camera.ray(ndc, 1.0)
+        });
+        let expected = Vec3::new(CORNER.x, CORNER.y, -1.0).normalize();
+        assert!(shown.iter().all(|ray| ray.dot(expected) > 0.999_99), "{shown:?}");
+        // Behind an eye it is not drawn at all.
+        let behind = Shot { camera: eye(right, 3.0), target: offscreen.target() };
+        assert_eq!(origin(&cameras[0], &behind), IVec2::splat(1000));
     }
 }

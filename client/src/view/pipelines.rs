@@ -14,7 +14,7 @@ use crate::gpu::{Gpu, GpuError};
 /// Linear radiance, premultiplied by coverage.
 pub(super) const LAYER_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
 /// Reversed: 1 near, 0 at infinity.
-pub(super) const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
+pub const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
 /// Back faces of glass: outward normal, and metres from the eye.
 pub(super) const BACK_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba32Float;
 
