@@ -84,6 +84,8 @@ pub struct HeadsetTimes {
     /// From reading the pose that the frame was drawn for to when the runtime predicts its light to leave the display, microseconds; `None`
     /// where the runtime's clock cannot be read.
     pub pose_to_photon_us: Option<u64>,
+    /// From the runtime's call for the frame to handing it over, microseconds: whatever is waited for within a frame is in it.
+    pub frame_us: u64,
     /// Display intervals since the start that no new frame came for.
     pub missed: u64,
 }
@@ -128,6 +130,9 @@ pub trait Stage {
 
     /// Shows what a frame costs over the view, or no longer.
     fn toggle_overlay(&mut self) {}
+
+    /// Told of every frame once it was presented.
+    fn presented(&mut self, _times: &FrameTimes) {}
 
     /// Why the device was lost, once it is.
     fn device_lost(&self) -> Option<String>;
@@ -478,6 +483,7 @@ impl FrameLoop {
         self.frames += 1;
         self.stats.counted(self.playout.drops(), Some(&self.inputs.decoder));
         self.stats.presented(&times, &drawn);
+        stage.presented(&times);
         Ok(true)
     }
 }

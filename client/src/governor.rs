@@ -274,6 +274,18 @@ mod tests {
     }
 
     #[test]
+    fn a_slower_display_gives_more_time() {
+        let mut governor = Governor::automatic(BUDGET_US);
+        governor.set_interval(50_000);
+        assert_eq!(run(&mut governor, 0..2_000, |_, _| 20_000, &full), []);
+        governor.set_interval(BUDGET_US);
+        assert!(!run(&mut governor, 2_000..2_100, |_, _| 20_000, &full).is_empty());
+        let mut fixed = Governor::fixed(Tier::FULL);
+        fixed.set_interval(1);
+        assert_eq!(fixed.budget_us(), None);
+    }
+
+    #[test]
     fn single_slow_frames_change_nothing_and_one_in_three_does() {
         let mut governor = Governor::automatic(BUDGET_US);
         let slow = |every: u64| move |_: u8, frame: u64| if frame.is_multiple_of(every) { 30_000 } else { 9_000 };

@@ -264,3 +264,21 @@ fn a_recording_goes_on_with_the_broadcast_of_a_server_that_came_back() {
     // Four frames fit the queue: none is dropped for want of time.
     assert_eq!(presenter.recorder.take().unwrap().finish().unwrap(), RecordReport { frames: 4, dropped: 0 });
 }
+
+#[test]
+fn pictures_pass_unseen_while_nothing_can_be_shown() {
+    let (mut frames, feeder) = frame_loop(30, None);
+    while !frames.pass().ended {
+        frames.rest(None);
+    }
+    feeder.join().unwrap();
+    let summary = frames.into_stats().finish().unwrap().to_string();
+    // Each is shown to nobody or superseded by one that is; none stays behind.
+    let number = |before: &str, after: &str| -> u64 {
+        let end = summary.find(after).unwrap();
+        let start = summary[..end].rfind(before).unwrap() + before.len();
+        summary[start..end].trim().parse().unwrap()
+    };
+    let (passed, superseded) = (number(",", " passed while nothing could be shown"), number("not shown:", " superseded, 0 without light"));
+    assert!(summary.starts_with("0 frames presented") && passed > 0 && passed + superseded == 30, "{summary}");
+}

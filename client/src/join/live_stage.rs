@@ -17,7 +17,7 @@ use crate::gpu::{Gpu, GpuError};
 use crate::overlay::{Overlay, Told};
 use crate::scene::model::{LoadedModel, ModelError};
 use crate::scene::pick::Ray;
-use crate::stats::PassTime;
+use crate::stats::{FrameTimes, PassTime};
 use crate::sync::{ClientClock, Paired, ReceivedLight};
 use crate::view::{Element, FrameReport, Renderer, View};
 
@@ -110,6 +110,8 @@ pub struct LiveStage {
     warned: HashMap<Element, String>,
     governor: Governor,
     clock: ClientClock,
+    /// The last frame that was presented.
+    before: Option<FrameTimes>,
     overlay_shown: bool,
     /// Made when first shown, for the format of the target.
     overlay: Option<(wgpu::TextureFormat, Overlay)>,
@@ -135,6 +137,7 @@ impl LiveStage {
             warned: HashMap::new(),
             governor,
             clock: ClientClock::start(),
+            before: None,
             overlay_shown: false,
             overlay: None,
         })
@@ -184,6 +187,7 @@ impl LiveStage {
         let Some((_, overlay)) = &mut self.overlay else { return Ok(()) };
         let told = Told {
             drawn,
+            before: self.before.as_ref(),
             cost_ms,
             budget_ms: self.governor.budget_us().map(|budget| budget * 1e-3),
             light: renderer.current_light(),
@@ -253,6 +257,10 @@ impl Stage for LiveStage {
         let drawn = Drawn { passes, tier, plan };
         self.draw_overlay(shots, &drawn, cost_ms)?;
         Ok(drawn)
+    }
+
+    fn presented(&mut self, times: &FrameTimes) {
+        self.before = Some(*times);
     }
 
     fn set_interval(&mut self, interval_us: u32) {

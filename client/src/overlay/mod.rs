@@ -9,8 +9,9 @@ use mr360_shaders::source::Module;
 
 use crate::camera::{Camera, FieldOfView};
 use crate::environment::FrameLight;
-use crate::frame_loop::{Drawn, Shot};
+use crate::frame_loop::{Drawn, HeadsetTimes, Shot};
 use crate::gpu::{Gpu, GpuError};
+use crate::stats::FrameTimes;
 use canvas::{CELL, Canvas, Colour};
 
 /// Pixels of the overlay's picture.
@@ -33,6 +34,8 @@ const WARNING: Colour = [255, 120, 90, 255];
 pub struct Told<'a> {
     /// What it did, and what the passes of an earlier one took.
     pub drawn: &'a Drawn,
+    /// The frame before it, presented; `None` at first.
+    pub before: Option<&'a FrameTimes>,
     /// What it cost, milliseconds.
     pub cost_ms: f32,
     /// What it may cost, milliseconds, where that matters.
@@ -197,19 +200,30 @@ fn lines(told: &Told<'_>) -> Vec<(String, Colour)> {
         (format!("lights {}  shadows {}  samples {}", told.light.lights.len(), plan.shadows, plan.samples), INK),
         (format!("reflections {reflections}  occlusion {occlusion}"), INK),
     ];
+    if let Some(before) = told.before {
+        let ms = |us: u64| format!("{:.0}", us as f64 * 1e-3);
+        let light = before.light_age_us().map_or_else(|| "-".to_owned(), ms);
+        lines.push((format!("age ms: light {light}  video {}", ms(before.video_age_us())), INK));
+        if let Some(HeadsetTimes { pose_to_photon_us, missed, .. }) = before.shown.headset {
+            let pose = pose_to_photon_us.map_or_else(|| "-".to_owned(), ms);
+            lines.push((format!("pose to photon {pose} ms  missed {missed}"), INK));
+        }
+    }
     lines.extend(passes.iter().map(|pass| (format!("{:>7.2} ms  {}", pass.gpu_ms, pass.name), FAINT)));
     lines
 }
 
 #[cfg(test)]
 mod tests {
+    use mr360_protocol::clock::ClientTime;
     use mr360_protocol::light::DirectionalLight;
 
     use super::*;
     use crate::camera::Edges;
+    use crate::frame_loop::Presented;
     use crate::governor::Tier;
     use crate::headless::Offscreen;
-    use crate::stats::PassTime;
+    use crate::stats::{LightTimes, PassTime};
     use crate::view::Plan;
 
     fn light(direction: Vec3, irradiance: Vec3) -> FrameLight {
@@ -217,7 +231,7 @@ mod tests {
     }
 
     fn told<'a>(drawn: &'a Drawn, light: &'a FrameLight) -> Told<'a> {
-        Told { drawn, cost_ms: 12.34, budget_ms: Some(11.1), light, looking: Vec3::NEG_Z }
+        Told { drawn, before: None, cost_ms: 12.34, budget_ms: Some(11.1), light, looking: Vec3::NEG_Z }
     }
 
     #[test]
@@ -235,6 +249,25 @@ mod tests {
         ];
         assert_eq!(texts, expected);
         assert_eq!(lines[0].1, WARNING, "over the budget");
+        let at = |us: u64| ClientTime(1_000_000 + us);
+        let before = FrameTimes {
+            frame: 7,
+            pts_us: 0,
+            new_picture: true,
+            arrived: at(0),
+            decoded: at(5_000),
+            light: Some(LightTimes { pts_us: 0, published: at(3_000), arrived: at(4_000) }),
+            light_weight: 0.0,
+            paired: at(80_000),
+            uploaded: at(81_000),
+            begun: at(90_000),
+            rendered: at(95_000),
+            presented: at(96_400),
+            playout_delay_us: 20_000,
+            shown: Presented { gpu_waits: 0, headset: Some(HeadsetTimes { pose_to_photon_us: Some(21_600), frame_us: 6_400, missed: 3 }) },
+        };
+        let with_ages = super::lines(&Told { before: Some(&before), ..told(&drawn, &light) });
+        assert_eq!((with_ages[3].0.as_str(), with_ages[4].0.as_str()), ("age ms: light 93  video 96", "pose to photon 22 ms  missed 3"));
         let longest = texts.iter().map(|line| line.len()).max().unwrap() as i32;
         assert!(longest * CELL.x <= SIZE.x - 2 * MARGIN);
     }

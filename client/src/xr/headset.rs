@@ -34,6 +34,7 @@ pub(super) enum Standing {
 
 /// A frame between its beginning and its end.
 struct Begun {
+    called_for: ClientTime,
     display: xr::Time,
     should_render: bool,
     /// What it is drawn from, once it is.
@@ -164,6 +165,7 @@ impl<'a> Headset<'a> {
     /// Those of [`Fault::of`].
     pub(super) fn begin(&mut self) -> Result<Option<Duration>, Fault> {
         let state = self.waiter.wait().map_err(|code| Fault::of("waiting for the display", code))?;
+        let called_for = self.clock.now();
         self.stream.begin().map_err(|code| Fault::of("beginning a frame", code))?;
         let (display, should_render) = (state.predicted_display_time, state.should_render);
         let period_ns = state.predicted_display_period.as_nanos();
@@ -172,7 +174,7 @@ impl<'a> Headset<'a> {
         } else {
             self.pace.rests();
         }
-        self.begun = Some(Begun { display, should_render, views: Vec::new(), cameras: Vec::new(), pose_read: None, waits: 0 });
+        self.begun = Some(Begun { called_for, display, should_render, views: Vec::new(), cameras: Vec::new(), pose_read: None, waits: 0 });
         Ok(should_render.then(|| Duration::from_nanos(u64::try_from(period_ns).unwrap_or(0))))
     }
 
@@ -253,7 +255,9 @@ impl<'a> Headset<'a> {
         layers::end(&mut self.stream, when, (&self.spaces.floor, &begun.views), &self.colour, self.depth.as_ref())
             .map_err(|code| Fault::of("ending a frame", code))?;
         let pose_to_photon_us = begun.pose_read.and_then(|read| u64::try_from((begun.display.as_nanos() - read.as_nanos()) / 1_000).ok());
-        Ok(Presented { gpu_waits: begun.waits, headset: Some(HeadsetTimes { pose_to_photon_us, missed: self.pace.missed() }) })
+        let frame_us = self.clock.now().0.saturating_sub(begun.called_for.0);
+        let headset = HeadsetTimes { pose_to_photon_us, frame_us, missed: self.pace.missed() };
+        Ok(Presented { gpu_waits: begun.waits, headset: Some(headset) })
     }
 
     fn keep(&mut self, begun: &Begun, shown: PictureTime) {
