@@ -1,6 +1,7 @@
 //! The real viewer in a headset without hardware, on a real OpenXR runtime: what the eyes see, and what becomes of a session when runtime and
 //! headset come, go and come back.
 
+use std::f32::consts::PI;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -11,9 +12,11 @@ use glam::{EulerRot, Quat, Vec2, Vec3};
 use image::RgbImage;
 use mr360_client::camera::{Camera, Edges};
 use mr360_client::viewpoint::Viewpoint;
+use mr360_protocol::scene::{Change, SceneMessage};
 use mr360_shaders::equirect::direction_from_uv;
 use mr360_tests::clips;
 use mr360_tests::probe::{LONG, Probe};
+use mr360_tests::process::Program;
 use mr360_tests::samples::Samples;
 use mr360_tests::sandbox::Sandbox;
 use mr360_tests::xr::{Angles, Script, Scripted, ScriptedHand, XrRuntime, kept_frames};
@@ -86,12 +89,13 @@ fn scripts() -> Vec<Script> {
         (Vec3::new(0.0, 1.1, -0.2), turned(0.1, 0.2, -0.4)),
         (Vec3::new(0.1, 1.6, 0.1), turned(-0.1, -0.2, 0.1)),
     ];
+    // Behind the head and pointing up, where there is nothing to take; sticks and grips too weak to move or scale the viewer, and the menu last.
     let hand = |aside: f32, at: usize| ScriptedHand {
-        pose: Some(Scripted { position: Vec3::new(aside, 1.2 + 0.05 * at as f32, -0.4), orientation: turned(0.1 * at as f32, 0.0, 0.0) }),
+        pose: Some(Scripted { position: Vec3::new(aside, 1.2 + 0.05 * at as f32, 0.9), orientation: turned(PI + 0.1 * at as f32, 0.8, 0.0) }),
         trigger: if at % 2 == 1 { 1.0 } else { 0.0 },
-        squeeze: 0.25 * at as f32,
-        stick: Vec2::new(0.5, -0.25 * at as f32),
-        b: at == 2,
+        squeeze: 0.1 * at as f32,
+        stick: Vec2::new(0.5, -0.05 * at as f32),
+        b: at == 4,
     };
     let script = |(at, (position, orientation)): (usize, (Vec3, Quat))| Script {
         head: Scripted { position, orientation },
@@ -387,11 +391,63 @@ fn without_a_runtime_the_viewer_says_so_and_goes_on() -> Result<()> {
     let mut command: Command = sandbox.client_command()?;
     command.args(["join", &server.join_url, "--mode", "xr", "--mute", "--size", "64x36", "--frames", "3"]);
     command.env("XR_RUNTIME_JSON", "/nowhere/runtime.json").env_remove("DISPLAY").env_remove("WAYLAND_DISPLAY");
-    let mut viewer = mr360_tests::process::Program::spawn("viewer", &mut command)?;
+    let mut viewer = Program::spawn("viewer", &mut command)?;
     viewer.wait_for_text("no headset can be used", LONG)?;
     viewer.wait_for_text("going on in a window", LONG)?;
     viewer.wait_for_text("going on headless", LONG)?;
     let status = viewer.wait_for_exit(Duration::from_secs(120))?;
     ensure!(status.success(), "the viewer ended with {status}:\n{}", viewer.output());
     Ok(())
+}
+
+fn position(change: &Change) -> Option<Vec3> {
+    match change {
+        Change::Put(object) => Some(object.transform.position),
+        Change::Move(_, transform) => Some(transform.position),
+        Change::Remove(_) => None,
+    }
+}
+
+/// One hand points at the ball, takes it and moves aside: the ball goes along for everyone.
+#[test]
+fn a_hand_in_the_headset_moves_what_it_holds() -> Result<()> {
+    let sandbox = Sandbox::new()?;
+    let scene = scene(&sandbox)?;
+    let server = sandbox.serve(CARD, &["--scene", scene.to_str().context("path")?, "--listen", "127.0.0.1:0"])?;
+    let probe = Probe::join(&server.join_url)?;
+    let mut runtime = XrRuntime::new(&sandbox, "xr")?;
+    runtime.start()?;
+    let mut remote = runtime.remote()?;
+    let head = Scripted { position: Vec3::new(0.0, 1.6, 0.0), orientation: Quat::IDENTITY };
+    let idle = ScriptedHand { pose: None, trigger: 0.0, squeeze: 0.0, stick: Vec2::ZERO, b: false };
+    // Straight ahead, at the height of the ball's middle.
+    let right = |aside: f32, trigger: f32| {
+        let position = Vec3::new(CENTER.x + aside, CENTER.y - GROUND_Y, -0.4);
+        ScriptedHand { pose: Some(Scripted { position, orientation: Quat::IDENTITY }), trigger, ..idle }
+    };
+    let script = |hand| Script { head, eyes: [(LEFT, -HALF_DISTANCE_M), (RIGHT, HALF_DISTANCE_M)], hands: [idle, hand] };
+    remote.set(&script(right(0.0, 0.0)))?;
+    let folder = sandbox.path("eyes");
+    let arguments = ["--mode", "xr", "--mute", "--record-eyes", folder.to_str().context("path")?];
+    let mut viewer = runtime.join(&sandbox, "viewer", &server.join_url, &arguments)?;
+    let mut shown = |viewer: &mut Program| -> Result<()> {
+        for _ in 0..2 {
+            viewer.wait_for_text("eyes kept", LONG)?;
+            viewer.mark();
+        }
+        Ok(())
+    };
+    shown(&mut viewer)?;
+    remote.set(&script(right(0.0, 1.0)))?;
+    shown(&mut viewer)?;
+    remote.set(&script(right(0.4, 1.0)))?;
+    let moved = probe.scene("the ball has moved", |message| {
+        let objects: Vec<Vec3> = match message {
+            SceneMessage::Snapshot(scene) => scene.objects.iter().map(|object| object.transform.position).collect(),
+            SceneMessage::Delta { changes, .. } => changes.iter().filter_map(position).collect(),
+        };
+        objects.into_iter().find(|position| position.x > CENTER.x + 0.3)
+    })?;
+    ensure!(moved.distance(CENTER + 0.4 * Vec3::X) < 0.15, "the ball was moved to {moved}");
+    viewer.finish(LONG)
 }
