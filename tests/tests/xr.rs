@@ -1,6 +1,7 @@
 //! The real viewer in a headset without hardware, on a real OpenXR runtime: what the eyes see, and what becomes of a session when runtime and
 //! headset come, go and come back.
 
+use std::collections::BTreeSet;
 use std::f32::consts::PI;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -31,6 +32,8 @@ const FRAMES: u64 = 600;
 /// Longest that these take, at 20 frames a second and on a busy machine.
 const SHOWN_WITHIN: Duration = Duration::from_secs(600);
 const GROUND_Y: f32 = -1.6;
+/// A white disc of the panorama.
+const SUN: Vec3 = Vec3::new(0.4, 0.8, -0.45);
 /// The red ball.
 const CENTER: Vec3 = Vec3::new(0.1, -0.5, -1.8);
 const RADIUS: f32 = 0.3;
@@ -43,8 +46,7 @@ const CARD: &str = "synthetic:testcard?size=256x128&fps=10";
 
 /// Grey waves in longitude and latitude, which show a shift of a pixel, and a small sun.
 fn pattern(direction: Vec3) -> u8 {
-    let sun = Vec3::new(0.4, 0.8, -0.45).normalize();
-    if direction.dot(sun) > 0.997 {
+    if direction.dot(SUN.normalize()) > 0.997 {
         return 255;
     }
     let (longitude, latitude) = (direction.x.atan2(-direction.z), direction.y.clamp(-1.0, 1.0).asin());
@@ -91,7 +93,10 @@ fn scripts() -> Vec<Script> {
     ];
     // Behind the head and pointing up, where there is nothing to take; sticks and grips too weak to move or scale the viewer, and the menu last.
     let hand = |aside: f32, at: usize| ScriptedHand {
-        pose: Some(Scripted { position: Vec3::new(aside, 1.2 + 0.05 * at as f32, 0.9), orientation: turned(PI + 0.1 * at as f32, 0.8, 0.0) }),
+        pose: Some(Scripted {
+            position: Vec3::new(aside, 1.2 + 0.05 * at as f32, 0.9),
+            orientation: turned(PI + 0.1 * at as f32, 0.8, 0.0),
+        }),
         trigger: if at % 2 == 1 { 1.0 } else { 0.0 },
         squeeze: 0.1 * at as f32,
         stick: Vec2::new(0.5, -0.05 * at as f32),
@@ -176,19 +181,22 @@ fn both_eyes_see_what_geometry_and_the_headless_viewer_say() -> Result<()> {
     let status = viewer.wait_for_exit(SHOWN_WITHIN)?;
     ensure!(status.success(), "the viewer ended with {status}:\n{}", viewer.output());
 
+    let mut seen = BTreeSet::new();
     let kept = kept_frames(&folder)?.into_iter().map(|value| Kept::load(&folder, value)).collect::<Result<Vec<_>>>()?;
     for (at, script) in scripts.iter().enumerate() {
         let kept = kept.iter().rfind(|kept| kept.is_of(script)).with_context(|| format!("no kept frame is of head {at}"))?;
         eyes_are_scripted(kept, script)?;
         hands_are_scripted(kept, script)?;
-        for (camera, picture) in &kept.eyes {
-            panorama_reaches_all_edges(camera, picture).with_context(|| format!("head {at}, frame {}", kept.frame))?;
+        for (eye, (camera, picture)) in kept.eyes.iter().enumerate() {
+            let edges = panorama_reaches_all_edges(camera, picture).with_context(|| format!("head {at}, frame {}", kept.frame))?;
+            seen.extend(edges.into_iter().map(|edge| (eye, edge)));
         }
         parallax_is_geometrys(kept).with_context(|| format!("head {at}, frame {}", kept.frame))?;
         if at % 2 == 1 {
             headless_draws_the_same(&sandbox, &runtime, &server.join_url, kept)?;
         }
     }
+    ensure!(seen.len() == 8, "not every edge of both eyes was seen beside ball and shade: {seen:?}");
     stats_add_up(&Samples::load(&csv)?)
 }
 
@@ -249,9 +257,19 @@ fn meets_ball(camera: &Camera, direction: Vec3, radius: f32) -> bool {
     along > 0.0 && to.length_squared() - along * along < radius * radius
 }
 
+/// True where the ball changes the ground: around its foot, and where its shadow falls.
+fn meets_shade(camera: &Camera, direction: Vec3) -> bool {
+    let along = (GROUND_Y - camera.position.y) / direction.y;
+    let met = camera.position + direction * along;
+    let height = CENTER.y - GROUND_Y;
+    let shadow = CENTER - SUN.normalize() * (height / SUN.normalize().y);
+    let beside = |place: Vec3| (met - place).with_y(0.0).length();
+    direction.y < 0.0 && (beside(CENTER) < 4.0 * RADIUS || beside(shadow) < 2.0 * RADIUS)
+}
+
 /// What each of the four edges shows is what the panorama has there: of the errors that a shift of a pixel makes, a parabola, the least is
-/// within a quarter of a pixel of none.
-fn panorama_reaches_all_edges(camera: &Camera, picture: &RgbImage) -> Result<()> {
+/// within a quarter of a pixel of none. Returns the edges that show enough of the panorama to tell.
+fn panorama_reaches_all_edges(camera: &Camera, picture: &RgbImage) -> Result<Vec<&'static str>> {
     ensure!(picture.dimensions() == EYE, "a picture of {:?}", picture.dimensions());
     let (width, height) = EYE;
     let edges: [(&str, Vec<(u32, u32)>, Vec2); 4] = [
@@ -260,26 +278,32 @@ fn panorama_reaches_all_edges(camera: &Camera, picture: &RgbImage) -> Result<()>
         ("upper", (0..3).flat_map(|y| (0..width).map(move |x| (x, y))).collect(), Vec2::Y),
         ("lower", (height - 3..height).flat_map(|y| (0..width).map(move |x| (x, y))).collect(), Vec2::Y),
     ];
+    let mut told = Vec::new();
     for (name, pixels, outwards) in edges {
         let error = |shift: f32| {
             let mut pairs = Vec::new();
             for (x, y) in &pixels {
                 let at = Vec2::new(*x as f32 + 0.5, *y as f32 + 0.5) + outwards * shift;
                 let direction = ray(camera, at.x, at.y);
-                // Ball and sun are no waves, and around the ball lie shade and bounce.
-                if !meets_ball(camera, direction, 4.0 * RADIUS) && direction.y < 0.6 {
+                // Ball and sun are no waves, and beneath the ball lie shade and bounce.
+                if !meets_ball(camera, direction, 1.1 * RADIUS) && !meets_shade(camera, direction) && direction.y < 0.6 {
                     pairs.push((f32::from(pattern(direction)), f32::from(picture.get_pixel(*x, *y).0[1])));
                 }
             }
-            mean_square_residual(&pairs)
+            (pairs.len(), mean_square_residual(&pairs))
         };
+        if error(0.0).0 < 100 {
+            continue;
+        }
+        told.push(name);
+        let error = |shift: f32| error(shift).1;
         let (before, here, after) = (error(-1.0), error(0.0), error(1.0));
         let bend = before + after - 2.0 * here;
         ensure!(bend > 0.25, "{name} edge: a pixel aside is hardly worse, {before}, {here}, {after}");
         let least = 0.5 * (before - after) / bend;
         ensure!(least.abs() < 0.25, "{name} edge: off by {least} pixels ({before}, {here}, {after})");
     }
-    Ok(())
+    Ok(told)
 }
 
 /// What a straight line through pairs leaves, squared: codes of video and of pictures differ by their curves.

@@ -300,10 +300,10 @@ impl<'a> Headset<'a> {
 
 impl Presenter for Headset<'_> {
     fn acquire(&mut self, _camera: &Camera) -> Result<Option<Vec<Shot>>, FrameError> {
-        self.look().map_err(|fault| fault.into_frame_error("looking from the headset"))
+        self.look().map_err(|fault| fault.within_session().into_frame_error("looking from the headset"))
     }
 
     fn present(&mut self, shown: PictureTime, _now: ClientTime) -> Result<Presented, FrameError> {
-        self.show(shown).map_err(|fault| fault.into_frame_error("presenting to the headset"))
+        self.show(shown).map_err(|fault| fault.within_session().into_frame_error("presenting to the headset"))
     }
 }

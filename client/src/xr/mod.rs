@@ -175,8 +175,8 @@ fn session<S: Stage>(
     let mut stage = open(gpu).map_err(Fault::Open)?;
     let mut hands = Hands::default();
     while !limits.are_reached(frames) {
-        let ended = match headset.listen(stage.ground_y())? {
-            Standing::Running => frame(frames, &mut headset, &mut stage, &mut hands, act)?,
+        let ended = match headset.listen(stage.ground_y()).map_err(Fault::within_session)? {
+            Standing::Running => frame(frames, &mut headset, &mut stage, &mut hands, act).map_err(Fault::within_session)?,
             Standing::Stopped => pass_for(frames, limits, LISTEN),
             Standing::Ended => {
                 limits.options.stop.store(true, Ordering::Relaxed);
