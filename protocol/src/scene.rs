@@ -126,7 +126,36 @@ pub struct Object {
     pub animation: Playback,
 }
 
-/// A mesh of the real place, as the video shows it: it catches shadows and hides what is behind it, and is itself never seen.
+/// How a real surface mirrors virtual objects. The light in it needs none of this: the video shows that already.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Gloss {
+    /// Perceptual roughness in [0, 1]; alpha is its square.
+    pub roughness: f32,
+    /// Share of light that is mirrored straight back, in [0, 1]; nothing is mirrored at 0.
+    pub reflectance: f32,
+}
+
+impl Gloss {
+    /// A surface that mirrors nothing.
+    pub const MATT: Self = Self { roughness: 1.0, reflectance: 0.0 };
+    /// Reflectance of what is neither metal nor gem: stone, wood, water, varnish.
+    pub const DIELECTRIC: f32 = 0.04;
+
+    pub(crate) fn validate(self, message: &'static str) -> Result<(), WireError> {
+        let unit = |v: f32| (0.0..=1.0).contains(&v);
+        ensure_in_range(unit(self.roughness), message, "roughness", || self.roughness.to_string())?;
+        ensure_in_range(unit(self.reflectance), message, "reflectance", || self.reflectance.to_string())
+    }
+}
+
+impl Default for Gloss {
+    fn default() -> Self {
+        Self::MATT
+    }
+}
+
+/// A mesh of the real place, as the video shows it: it catches shadows and reflections, hides what is behind it, and is itself never
+/// seen.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct PlaceMesh {
     /// A glTF 2.0 model; its materials do not count.
@@ -135,6 +164,8 @@ pub struct PlaceMesh {
     pub transform: Transform,
     /// It stands between the lights and what lies behind it. Not so for walls that hold the lights themselves, or lie beyond them.
     pub casts_shadows: bool,
+    /// How it mirrors objects.
+    pub gloss: Gloss,
 }
 
 /// The whole shared state.
@@ -144,6 +175,8 @@ pub struct Scene {
     pub revision: u64,
     /// Height of the ground plane, metres, relative to the camera that filmed the panorama at y = 0.
     pub ground_y: f32,
+    /// How the ground mirrors objects.
+    pub ground: Gloss,
     /// In order of id.
     pub objects: Vec<Object>,
     /// Beside the ground, what of the real place catches shadows.
@@ -152,7 +185,7 @@ pub struct Scene {
 
 impl Default for Scene {
     fn default() -> Self {
-        Self { revision: 0, ground_y: -1.6, objects: Vec::new(), place: Vec::new() }
+        Self { revision: 0, ground_y: -1.6, ground: Gloss::MATT, objects: Vec::new(), place: Vec::new() }
     }
 }
 
@@ -347,15 +380,16 @@ impl Scene {
         ensure_in_range(self.place.len() <= MAX_PLACE_MESHES, message, "place", || {
             format!("{} meshes, at most {MAX_PLACE_MESHES}", self.place.len())
         })?;
-        self.place.iter().try_for_each(|mesh| mesh.transform.validate(message))?;
+        self.ground.validate(message)?;
+        self.place.iter().try_for_each(|mesh| mesh.transform.validate(message).and_then(|()| mesh.gloss.validate(message)))?;
         self.objects.iter().try_for_each(|object| object.validate(message))
     }
 }
 
 impl Message for SceneMessage {
     const NAME: &'static str = "scene message";
-    /// 2: objects have a [`Playback`], scenes have meshes of the place.
-    const VERSION: u8 = 2;
+    /// 2: objects have a [`Playback`], scenes have meshes of the place. 3: ground and place have a [`Gloss`].
+    const VERSION: u8 = 3;
 
     fn validate(&self) -> Result<(), WireError> {
         match self {
@@ -441,7 +475,8 @@ mod tests {
 
     #[test]
     fn the_place_is_bounded_and_its_models_are_assets() {
-        let mesh = |name: &[u8]| PlaceMesh { model: AssetId::of(name), transform: Transform::default(), casts_shadows: true };
+        let mesh =
+            |name: &[u8]| PlaceMesh { model: AssetId::of(name), transform: Transform::default(), casts_shadows: true, gloss: Gloss::MATT };
         let scene = Scene { place: vec![mesh(b"room"), mesh(b"table"), mesh(b"room")], ..Scene::default() };
         assert_eq!(scene.assets().len(), 2);
         let wire = SceneMessage::Snapshot(scene.clone()).to_wire().unwrap();
@@ -450,6 +485,11 @@ mod tests {
         assert!(refused(vec![mesh(b"room"); MAX_PLACE_MESHES + 1]).contains("place"));
         let far = Transform { position: Vec3::splat(f32::INFINITY), ..Transform::default() };
         assert!(refused(vec![PlaceMesh { transform: far, ..mesh(b"room") }]).contains("position"));
+        let rough = Gloss { roughness: 1.1, ..Gloss::MATT };
+        let bright = Gloss { reflectance: f32::NAN, ..Gloss::MATT };
+        assert!(refused(vec![PlaceMesh { gloss: rough, ..mesh(b"room") }]).contains("roughness"));
+        let ground = |ground| SceneMessage::Snapshot(Scene { ground, ..Scene::default() }).to_wire().unwrap_err().to_string();
+        assert!(ground(rough).contains("roughness") && ground(bright).contains("reflectance"));
     }
 
     #[test]
@@ -460,7 +500,7 @@ mod tests {
             animation: Playback::Named("a".repeat(MAX_ANIMATION_BYTES)),
             ..object(id)
         });
-        let mesh = PlaceMesh { model: AssetId::of(b"room"), transform: Transform::default(), casts_shadows: true };
+        let mesh = PlaceMesh { model: AssetId::of(b"room"), transform: Transform::default(), casts_shadows: true, gloss: Gloss::MATT };
         let place = vec![mesh; MAX_PLACE_MESHES];
         let scene = SceneMessage::Snapshot(Scene { objects: objects.collect(), place, ..Scene::default() });
         let wire = scene.to_wire().unwrap();

@@ -2,6 +2,7 @@
 //!
 //! ```toml
 //! ground_y = -1.6                 # height of the ground plane; the camera is at 0
+//! ground = { roughness = 0.2 }    # how it mirrors objects; reflectance = 0.04 unless given; without it not at all
 //! [[object]]
 //! shape = "sphere"                # or "cube", "cylinder", "plane"; or model = "file.glb"
 //! position = [0.0, -1.1, -3.0]    # metres
@@ -12,6 +13,7 @@
 //! [[place]]
 //! model = "room.glb"              # of the real place: catches shadows and hides what is behind it
 //! casts_shadows = true            # false for what holds the lights, or lies beyond them
+//! gloss = { roughness = 0.2 }     # as the ground's
 //! ```
 
 use std::collections::HashMap;
@@ -23,7 +25,7 @@ use serde::Deserialize;
 use crate::asset::{AssetId, MAX_ASSETS};
 use crate::codec::{WireError, ensure_in_range};
 use crate::scene::{
-    Geometry, MAX_OBJECTS, MAX_PLACE_MESHES, Material, MaterialKind, Object, ObjectId, PlaceMesh, Playback, Scene, Shape, Transform,
+    Geometry, Gloss, MAX_OBJECTS, MAX_PLACE_MESHES, Material, MaterialKind, Object, ObjectId, PlaceMesh, Playback, Scene, Shape, Transform,
 };
 
 /// What a scene file calls a model that stays at rest.
@@ -85,6 +87,7 @@ pub enum SceneFileError {
 #[serde(deny_unknown_fields)]
 struct FileScene {
     ground_y: f32,
+    ground: Option<FileGloss>,
     #[serde(default, rename = "object")]
     objects: Vec<FileObject>,
     #[serde(default)]
@@ -103,6 +106,25 @@ struct FilePlaceMesh {
     scale: FileScale,
     #[serde(default = "yes")]
     casts_shadows: bool,
+    gloss: Option<FileGloss>,
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FileGloss {
+    roughness: f32,
+    #[serde(default = "dielectric")]
+    reflectance: f32,
+}
+
+fn dielectric() -> f32 {
+    Gloss::DIELECTRIC
+}
+
+impl From<FileGloss> for Gloss {
+    fn from(file: FileGloss) -> Self {
+        Self { roughness: file.roughness, reflectance: file.reflectance }
+    }
 }
 
 fn yes() -> bool {
@@ -167,9 +189,18 @@ impl From<FileMaterial> for Material {
 pub struct SceneFile {
     path: PathBuf,
     ground_y: f32,
+    ground: Gloss,
     objects: Vec<Checked>,
-    /// Model, transform, and whether it casts shadows.
-    place: Vec<(PathBuf, Transform, bool)>,
+    place: Vec<CheckedPlace>,
+}
+
+/// A mesh of the place that is within bounds.
+#[derive(Debug, Clone, PartialEq)]
+struct CheckedPlace {
+    model: PathBuf,
+    transform: Transform,
+    casts_shadows: bool,
+    gloss: Gloss,
 }
 
 /// An object that is within bounds.
@@ -231,16 +262,12 @@ impl SceneFile {
             })
             .collect::<Result<Vec<_>, _>>()?;
         let place = (1..).zip(file.place).map(|(index, mesh)| -> Result<_, SceneFileError> {
-            let transform = transform(mesh.position, mesh.rotation_deg, mesh.scale).map_err(|fault| SceneFileError::Place {
-                path: path.to_owned(),
-                index,
-                fault,
-            })?;
-            Ok((folder.join(mesh.model), transform, mesh.casts_shadows))
+            check_place(mesh, folder).map_err(|fault| SceneFileError::Place { path: path.to_owned(), index, fault })
         });
         let place = place.collect::<Result<Vec<_>, _>>()?;
-        let scene = Self { path: path.to_owned(), ground_y: file.ground_y, objects, place };
-        let bounds = Scene { ground_y: scene.ground_y, ..Scene::default() }.validate("scene file");
+        let ground = file.ground.map(Gloss::from).unwrap_or_default();
+        let scene = Self { path: path.to_owned(), ground_y: file.ground_y, ground, objects, place };
+        let bounds = Scene { ground_y: scene.ground_y, ground, ..Scene::default() }.validate("scene file");
         bounds.map_err(|error| SceneFileError::Scene { path: path.to_owned(), fault: fault(&error) })?;
         if scene.models().len() > MAX_ASSETS {
             return Err(SceneFileError::Scene {
@@ -261,7 +288,7 @@ impl SceneFile {
                 FileGeometry::Model(path) => Some(path.as_path()),
                 FileGeometry::Shape(_) => None,
             })
-            .chain(self.place.iter().map(|(model, ..)| model.as_path()))
+            .chain(self.place.iter().map(|mesh| mesh.model.as_path()))
             .collect();
         models.sort_unstable();
         models.dedup();
@@ -286,7 +313,7 @@ impl SceneFile {
             known.insert(model, asset);
             Ok(asset)
         };
-        let mut scene = Scene { ground_y: self.ground_y, ..Scene::default() };
+        let mut scene = Scene { ground_y: self.ground_y, ground: self.ground, ..Scene::default() };
         for (id, object) in (1..).zip(&self.objects) {
             let geometry = match &object.geometry {
                 FileGeometry::Shape(shape) => Geometry::Shape(*shape),
@@ -299,12 +326,20 @@ impl SceneFile {
             let Checked { transform, material, animation, .. } = object.clone();
             scene.objects.push(Object { id: ObjectId(id), geometry, transform, material, animation });
         }
-        for (index, (model, transform, casts_shadows)) in (1..).zip(&self.place) {
-            let model = asset_once(model).map_err(|fault| SceneFileError::Place { path: self.path.clone(), index, fault })?;
-            scene.place.push(PlaceMesh { model, transform: *transform, casts_shadows: *casts_shadows });
+        for (index, mesh) in (1..).zip(&self.place) {
+            let CheckedPlace { transform, casts_shadows, gloss, .. } = *mesh;
+            let model = asset_once(&mesh.model).map_err(|fault| SceneFileError::Place { path: self.path.clone(), index, fault })?;
+            scene.place.push(PlaceMesh { model, transform, casts_shadows, gloss });
         }
         Ok(scene)
     }
+}
+
+fn check_place(mesh: FilePlaceMesh, folder: &Path) -> Result<CheckedPlace, String> {
+    let transform = transform(mesh.position, mesh.rotation_deg, mesh.scale)?;
+    let gloss = mesh.gloss.map(Gloss::from).unwrap_or_default();
+    gloss.validate("scene file").map_err(|error| fault(&error))?;
+    Ok(CheckedPlace { model: folder.join(mesh.model), transform, casts_shadows: mesh.casts_shadows, gloss })
 }
 
 fn check(object: FileObject, folder: &Path) -> Result<Checked, String> {
@@ -358,130 +393,4 @@ fn fault(error: &WireError) -> String {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn parse(text: &str) -> Result<SceneFile, SceneFileError> {
-        SceneFile::parse(text, Path::new("stage/SCENE.toml"))
-    }
-
-    #[test]
-    fn a_scene_reads_as_written() {
-        let file = parse(
-            r#"
-            ground_y = -1.5
-            [[object]]
-            shape = "sphere"
-            position = [1.0, 2.0, 3.0]
-            scale = [1.0, 2.0, 1.0]
-            material = { base_color = [1.0, 0.5, 0.0], roughness = 0.1, metallic = 1.0 }
-            [[object]]
-            model = "fox.glb"
-            rotation_deg = [0.0, 90.0, 0.0]
-            [[object]]
-            model = "fox.glb"
-            animation = "Walk"
-            [[object]]
-            model = "fox.glb"
-            animation = "none"
-            "#,
-        )
-        .unwrap();
-        assert_eq!(file.models(), [Path::new("stage/fox.glb")]);
-        let fox = AssetId::of(b"fox");
-        let scene = file.resolve(|_| Ok::<_, String>(fox)).unwrap();
-        assert_eq!(scene.ground_y, -1.5);
-        assert_eq!(scene.objects[0].transform.scale, Vec3::new(1.0, 2.0, 1.0));
-        assert_eq!(scene.objects[0].material.unwrap().metallic, 1.0);
-        assert_eq!(scene.objects[1].geometry, Geometry::Model(fox));
-        assert_eq!(scene.objects[1].material, None);
-        let animations: Vec<_> = scene.objects.iter().map(|object| object.animation.clone()).collect();
-        assert_eq!(animations, [Playback::First, Playback::First, Playback::Named("Walk".to_owned()), Playback::Still]);
-        // A quarter turn about +y takes −z to −x.
-        assert!((scene.objects[1].transform.rotation * -Vec3::Z - -Vec3::X).length() < 1e-6);
-    }
-
-    #[test]
-    fn glass_is_clear_and_all_else_matt_unless_the_file_says_otherwise() {
-        let roughness = |material: &str| {
-            let file = parse(&format!("ground_y = 0.0\n[[object]]\nshape = \"cube\"\nmaterial = {{ {material} }}")).unwrap();
-            file.resolve(|_| Err::<AssetId, String>("no models".to_owned())).unwrap().objects[0].material.unwrap().roughness
-        };
-        assert_eq!(roughness("kind = \"glass\""), 0.0);
-        assert_eq!(roughness("kind = \"glass\", roughness = 0.4"), 0.4);
-        assert_eq!(roughness("metallic = 0.5"), Material::default().roughness);
-    }
-
-    #[test]
-    fn each_wrong_field_is_named() {
-        let sphere = "ground_y = 0.0\n[[object]]\nshape = \"sphere\"\n";
-        for (text, names) in [
-            (String::new(), "ground_y"),
-            ("ground_y = \"low\"".to_owned(), "ground_y"),
-            ("ground_y = nan".to_owned(), "ground_y"),
-            ("ground_y = 0.0\nsky = 1".to_owned(), "sky"),
-            ("ground_y = 0.0\n[[object]]".to_owned(), "neither shape nor model"),
-            (format!("{sphere}model = \"a.glb\""), "both shape and model"),
-            ("ground_y = 0.0\n[[object]]\nshape = \"torus\"".to_owned(), "torus"),
-            (format!("{sphere}position = [1.0]"), "position"),
-            (format!("{sphere}position = [inf, 0.0, 0.0]"), "position"),
-            (format!("{sphere}rotation_deg = [nan, 0.0, 0.0]"), "rotation_deg"),
-            (format!("{sphere}scale = 0.0"), "scale"),
-            (format!("{sphere}scale = \"big\""), "scale"),
-            (format!("{sphere}material = {{ roughness = 2.0 }}"), "roughness"),
-            (format!("{sphere}material = {{ metallic = -1.0 }}"), "metallic"),
-            (format!("{sphere}material = {{ base_color = [2.0, 0.0, 0.0] }}"), "base_color"),
-            (format!("{sphere}material = {{ kind = \"wood\" }}"), "wood"),
-            (format!("{sphere}material = {{ shiny = true }}"), "shiny"),
-            (format!("{sphere}colour = 1"), "colour"),
-            (format!("{sphere}animation = \"Walk\""), "shapes have none"),
-            ("ground_y = 0.0\n[[object]]\nmodel = \"a.glb\"\nanimation = \"\"".to_owned(), "animation"),
-        ] {
-            let error = parse(&text).unwrap_err().to_string();
-            assert!(error.contains(names) && error.contains("stage/SCENE.toml"), "{text:?} gave {error}");
-        }
-    }
-
-    #[test]
-    fn a_model_of_many_objects_is_read_once() {
-        let file = parse(&format!("ground_y = 0.0\n{}", "[[object]]\nmodel = \"fox.glb\"\n".repeat(3))).unwrap();
-        let mut reads = 0;
-        let scene = file.resolve(|_| {
-            reads += 1;
-            Ok::<_, String>(AssetId::of(b"fox"))
-        });
-        assert_eq!((scene.unwrap().objects.len(), reads), (3, 1));
-    }
-
-    #[test]
-    fn the_place_reads_as_written_and_its_faults_are_named() {
-        let file = parse(
-            "ground_y = 0.0\n[[place]]\nmodel = \"room.glb\"\nposition = [1.0, 0.0, 0.0]\n[[place]]\nmodel = \"lamp.glb\"\ncasts_shadows = false",
-        );
-        let file = file.unwrap();
-        assert_eq!(file.models(), [Path::new("stage/lamp.glb"), Path::new("stage/room.glb")]);
-        let scene = file.resolve(|path| Ok::<_, String>(AssetId::of(path.as_os_str().as_encoded_bytes()))).unwrap();
-        assert_eq!((scene.place[0].transform.position, scene.place[0].casts_shadows, scene.place[1].casts_shadows), (Vec3::X, true, false));
-        let error = file.resolve(|_| Err::<AssetId, _>("no such file")).unwrap_err().to_string();
-        assert!(error.contains("place 1") && error.contains("stage/room.glb"), "{error}");
-        let mesh = "ground_y = 0.0\n[[place]]\nmodel = \"room.glb\"\n";
-        for (text, names) in [
-            ("ground_y = 0.0\n[[place]]".to_owned(), "model"),
-            (format!("{mesh}roughness = 1.0"), "roughness"),
-            (format!("{mesh}scale = -1.0"), "scale"),
-            (format!("{mesh}rotation_deg = [nan, 0.0, 0.0]"), "rotation_deg"),
-            (format!("ground_y = 0.0\n{}", "[[place]]\nmodel = \"room.glb\"\n".repeat(17)), "17 place meshes"),
-        ] {
-            let error = parse(&text).unwrap_err().to_string();
-            assert!(error.contains(names) && error.contains("stage/SCENE.toml"), "{text:?} gave {error}");
-        }
-    }
-
-    #[test]
-    fn a_missing_model_names_file_and_object() {
-        let file = parse("ground_y = 0.0\n[[object]]\nmodel = \"no.glb\"").unwrap();
-        let error = file.resolve(|_| Err::<AssetId, _>("no such file")).unwrap_err().to_string();
-        assert!(error.contains("object 1") && error.contains("stage/no.glb") && error.contains("no such file"), "{error}");
-        assert!(matches!(SceneFile::load(Path::new("/nowhere/SCENE.toml")), Err(SceneFileError::Read { .. })));
-    }
-}
+mod tests;

@@ -104,6 +104,14 @@ pub struct Lighting {
     pub ground_min: [f32; 2],
     /// x and z, metres.
     pub ground_max: [f32; 2],
+    /// Perceptual.
+    pub ground_roughness: f32,
+    /// Reflectance straight on.
+    pub ground_f0: f32,
+    /// Of objects over the ground, metres.
+    pub highest_m: f32,
+    /// Unused.
+    pub padding: f32,
 }
 
 /// `Occluder`: a sphere that stands for an object or a part of it.
@@ -464,7 +472,11 @@ mod tests {
                 ground_y,
                 lights,
                 ground_min,
-                ground_max
+                ground_max,
+                ground_roughness,
+                ground_f0,
+                highest_m,
+                padding
             }
         );
         mirrors!(Object, Occluder { center, radius, albedo, object, specular, padding });

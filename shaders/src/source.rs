@@ -124,8 +124,10 @@ pub enum Module {
     Object,
     /// Virtual objects of glass, after all others.
     Glass,
-    /// Ground as shadow catcher.
+    /// Ground and place as catchers of shadows and reflections.
     Ground,
+    /// What the ground mirrors to its next level.
+    MirrorMip,
     /// Video and objects to the target.
     Composite,
     /// What is told of a frame, over the view.
@@ -138,7 +140,7 @@ pub enum Module {
 
 impl Module {
     /// Every module.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 14] = [
         Self::EnvironmentLift,
         Self::EnvironmentMip,
         Self::EnvironmentPrefilter,
@@ -148,6 +150,7 @@ impl Module {
         Self::Object,
         Self::Glass,
         Self::Ground,
+        Self::MirrorMip,
         Self::Composite,
         Self::Overlay,
         Self::Probe,
@@ -167,6 +170,7 @@ impl Module {
             Self::Object => "object.wgsl",
             Self::Glass => "glass.wgsl",
             Self::Ground => "ground.wgsl",
+            Self::MirrorMip => "mirror_mip.wgsl",
             Self::Composite => "composite.wgsl",
             Self::Overlay => "overlay.wgsl",
             Self::Probe => "probe.wgsl",
@@ -214,8 +218,10 @@ files![
     "frame.wgsl",
     "fullscreen.wgsl",
     "glass.wgsl",
+    "gloss.wgsl",
     "ground.wgsl",
     "material.wgsl",
+    "mirror_mip.wgsl",
     "object.wgsl",
     "occlusion.wgsl",
     "overlay.wgsl",

@@ -61,6 +61,12 @@ struct Lighting {
     // Corners of the ground that objects can change, x and z.
     ground_min: vec2<f32>,
     ground_max: vec2<f32>,
+    // How the ground mirrors objects: perceptual roughness, and reflectance straight on.
+    ground_roughness: f32,
+    ground_f0: f32,
+    // How high over the ground objects reach, metres.
+    highest_m: f32,
+    padding: f32,
 }
 
 struct Occluder {

@@ -16,6 +16,9 @@ mod layering;
 mod material;
 #[cfg(test)]
 mod material_tests;
+mod mirror;
+#[cfg(test)]
+mod mirror_tests;
 mod models;
 mod pipelines;
 mod place;
@@ -27,6 +30,7 @@ mod poses;
 mod probe_tests;
 #[cfg(test)]
 mod rate_tests;
+mod recipe;
 #[cfg(test)]
 mod reflection_tests;
 mod resources;
@@ -59,6 +63,7 @@ pub use stage::{Element, ModelFault, SceneWarning};
 
 use extent::{Part, touched};
 use glass::is_glass;
+use mirror::mirrored_use;
 use models::Models;
 use pipelines::{Kind, Layouts, Pipelines, Use};
 use plan::SceneNeeds;
@@ -69,7 +74,7 @@ use stage::Stage;
 use timing::PassTimer;
 
 /// Passes that a frame may have.
-pub const PASSES: [&str; 22] = [
+pub const PASSES: [&str; 26] = [
     "deform",
     SHADOWS[0],
     SHADOWS[1],
@@ -80,15 +85,19 @@ pub const PASSES: [&str; 22] = [
     PLACE_SHADOWS[2],
     PLACE_SHADOWS[3],
     "reflections",
+    MIRROR[0],
     OBJECTS[0],
     GLASS[0],
     COMPOSITE[0],
+    MIRROR[1],
     OBJECTS[1],
     GLASS[1],
     COMPOSITE[1],
+    MIRROR[2],
     OBJECTS[2],
     GLASS[2],
     COMPOSITE[2],
+    MIRROR[3],
     OBJECTS[3],
     GLASS[3],
     COMPOSITE[3],
@@ -97,6 +106,8 @@ pub const PASSES: [&str; 22] = [
 const SHADOWS: [&str; plan::MAX_SHADOWS] = ["shadow 1", "shadow 2", "shadow 3", "shadow 4"];
 /// Of each light.
 const PLACE_SHADOWS: [&str; plan::MAX_SHADOWS] = ["place shadow 1", "place shadow 2", "place shadow 3", "place shadow 4"];
+/// Of each view.
+const MIRROR: [&str; MAX_VIEWS] = ["mirror", "mirror view 2", "mirror view 3", "mirror view 4"];
 /// Of each view.
 const OBJECTS: [&str; MAX_VIEWS] = ["objects", "objects view 2", "objects view 3", "objects view 4"];
 /// Of each view.
@@ -301,7 +312,10 @@ impl Renderer {
         let frusta: Vec<Frustum> =
             self.current.lights.iter().take(plan.shadows).map(|light| self.resources.frustum(light, &self.stage)).collect();
         let place = self.place_frusta(frusta.len());
-        self.resources.write_frame(gpu, &self.stage, (&self.current, &self.reflected), (&frusta, &place), plan.occlusion);
+        let eyes: Vec<Vec3> = views.iter().filter(|_| plan.ground_mirrors).map(|view| view.camera.position).collect();
+        let ground = self.stage.changed_ground(&self.current, frusta.len(), &eyes);
+        let lights = (&self.current, &self.reflected);
+        self.resources.write_frame(gpu, &self.stage, lights, (&frusta, &place), (plan.occlusion, ground));
         let mut report = FrameReport { plan, ..FrameReport::default() };
         self.pose(gpu, encoder, plan, views);
         let kind = Kind {
@@ -318,14 +332,17 @@ impl Renderer {
             self.samples = plan.samples;
             self.layers.clear();
         }
-        let ground = self.stage.changed_ground(&self.current, frusta.len());
         for (at, view) in views.iter().enumerate() {
             // From beneath there is no ground to see.
             let ground = ground.filter(|_| view.camera.position.y > self.stage.ground_y);
             let part = if plan.objects { touched(&view.camera, view.size, &self.stage, ground) } else { None };
             self.resources.write_view(gpu, at, view, part.unwrap_or_default());
             if let Some(part) = part {
-                self.make_layer(gpu, at, (part, view.size), plan.glass);
+                self.make_layer(gpu, at, (part, view.size), plan);
+                if plan.ground_mirrors && ground.is_some() {
+                    self.resources.write_mirrored_view(gpu, at, view, part, self.stage.ground_y);
+                    self.draw_mirror(encoder, environment, kind, (at, view, part), &mut report);
+                }
                 self.draw_layer(encoder, environment, kind, (at, view, part), ground.is_some(), &mut report);
                 if plan.glass {
                     self.draw_glass(gpu, encoder, environment, kind, (at, view, part), &mut report);
@@ -346,12 +363,15 @@ impl Renderer {
         let objects = self.stage.draws.iter().map(object_use);
         let others = [
             (Use::Composite, true),
-            (Use::Ground, plan.objects),
+            (Use::Ground { glossy: plan.ground_mirrors }, plan.objects),
+            (Use::MirrorMip, plan.ground_mirrors),
+            (Use::PlaceMirrored, plan.ground_mirrors && kind.place),
             (Use::Horizon, plan.ground_hides),
             (Use::GlassBack, plan.glass),
-            (Use::Place, plan.objects && kind.place),
+            (Use::Place { glossy: plan.place_mirrors }, plan.objects && kind.place),
         ];
-        for what in objects.chain(others.into_iter().filter_map(|(what, needed)| needed.then_some(what))) {
+        let mirrored = self.stage.draws.iter().filter(|draw| plan.ground_mirrors && !is_glass(draw)).map(mirrored_use);
+        for what in objects.chain(mirrored).chain(others.into_iter().filter_map(|(what, needed)| needed.then_some(what))) {
             self.pipelines.prepare(gpu, &self.layouts, kind, what);
         }
     }

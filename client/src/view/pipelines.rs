@@ -2,11 +2,10 @@
 
 use std::collections::HashMap;
 
-use mr360_shaders::layout::{Detail, Vertex};
 use mr360_shaders::source::{Alpha, Module, Reflections, Surface};
 
 use super::material::{Look, layout_entries};
-
+use super::recipe::{Recipe, build, caster_depth, depth, nearer};
 use crate::environment::reflection::reflection_layout;
 use crate::environment::{VideoKind, sampler_entry, texture_entry, video_layout};
 use crate::gpu::{Gpu, GpuError};
@@ -15,6 +14,8 @@ use crate::gpu::{Gpu, GpuError};
 pub(super) const LAYER_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
 /// Reversed: 1 near, 0 at infinity.
 pub(super) const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
+/// What the ground mirrors: radiance, premultiplied by coverage; and coverage over the way to it, per metre.
+pub(super) const MIRROR_FORMATS: [wgpu::TextureFormat; 2] = [wgpu::TextureFormat::Rgba16Float, wgpu::TextureFormat::R16Float];
 /// Back faces of glass: outward normal, and metres from the eye.
 pub(super) const BACK_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba32Float;
 
@@ -29,6 +30,8 @@ pub(super) struct Layouts {
     pub(super) caster: wgpu::BindGroupLayout,
     /// Group 2 of the composite.
     pub(super) layer: wgpu::BindGroupLayout,
+    /// Group 3 of glossy ground: what it mirrors.
+    pub(super) mirror: wgpu::BindGroupLayout,
     /// Group 3 of objects.
     pub(super) material: wgpu::BindGroupLayout,
 }
@@ -45,6 +48,7 @@ pub(super) struct Pipelines {
     object: wgpu::ShaderModule,
     glass: wgpu::ShaderModule,
     ground: wgpu::ShaderModule,
+    mirror_mip: wgpu::ShaderModule,
     composite: wgpu::ShaderModule,
     target: wgpu::TextureFormat,
     made: HashMap<(Kind, Use), wgpu::RenderPipeline>,
@@ -77,8 +81,22 @@ pub(super) enum Use {
     },
     /// The far sides of glass.
     GlassBack,
-    Ground,
-    Place,
+    /// An object as the ground mirrors it.
+    Mirrored {
+        surface: Surface,
+        look: Look,
+        double_sided: bool,
+    },
+    /// A level of what the ground mirrors to the next.
+    MirrorMip,
+    Ground {
+        glossy: bool,
+    },
+    Place {
+        glossy: bool,
+    },
+    /// The place as the ground mirrors it: hides what is behind it.
+    PlaceMirrored,
     Horizon,
     Composite,
 }
@@ -142,92 +160,15 @@ impl Layouts {
             casters: make("casters", &[instances]),
             caster: make("caster", &[buffer_entry(0, uniform, true)]),
             layer: make("layer", &[unfiltered]),
+            mirror: make("mirror", &[texture_entry(0), texture_entry(1), sampler_entry(2)]),
             material: make("material", &layout_entries()),
         }
     }
 }
 
-/// What differs between the pipelines.
-#[derive(Clone)]
-struct Recipe<'a> {
-    label: &'a str,
-    vertex: &'a str,
-    /// Entry point, and what it colours, if anything.
-    fragment: Option<(&'a str, Option<wgpu::TextureFormat>)>,
-    layouts: &'a [Option<&'a wgpu::BindGroupLayout>],
-    mesh: bool,
-    /// The mesh has a second vertex buffer.
-    detailed: bool,
-    blend: bool,
-    cull: Option<wgpu::Face>,
-    depth: Option<wgpu::DepthStencilState>,
-    samples: u32,
-    /// Of the fragment shader.
-    constants: &'a [(&'a str, f64)],
-}
-
-fn build(gpu: &Gpu, module: &wgpu::ShaderModule, recipe: &Recipe<'_>) -> wgpu::RenderPipeline {
-    let layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-        label: Some(recipe.label),
-        bind_group_layouts: recipe.layouts,
-        immediate_size: 0,
-    });
-    let attributes = wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x3, 2 => Float32x2];
-    let details = wgpu::vertex_attr_array![3 => Float32x4, 4 => Float32x2, 5 => Unorm16x4];
-    let buffer = |size: usize, attributes| {
-        Some(wgpu::VertexBufferLayout { array_stride: size as u64, step_mode: wgpu::VertexStepMode::Vertex, attributes })
-    };
-    let mesh = [buffer(size_of::<Vertex>(), &attributes), buffer(size_of::<Detail>(), &details)];
-    let buffers = match (recipe.mesh, recipe.detailed) {
-        (false, _) => &mesh[..0],
-        (true, false) => &mesh[..1],
-        (true, true) => &mesh[..],
-    };
-    let blend = recipe.blend.then_some(wgpu::BlendState::PREMULTIPLIED_ALPHA_BLENDING);
-    let target = |format: Option<wgpu::TextureFormat>| Some(wgpu::ColorTargetState { blend, ..format?.into() });
-    let targets: Vec<_> = recipe.fragment.iter().filter(|(_, format)| format.is_some()).map(|(_, format)| target(*format)).collect();
-    let strip = !recipe.mesh && recipe.vertex != "vs_fullscreen";
-    let topology = if strip { wgpu::PrimitiveTopology::TriangleStrip } else { wgpu::PrimitiveTopology::TriangleList };
-    gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-        label: Some(recipe.label),
-        layout: Some(&layout),
-        vertex: wgpu::VertexState {
-            module,
-            entry_point: Some(recipe.vertex),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
-            buffers,
-        },
-        primitive: wgpu::PrimitiveState { topology, cull_mode: recipe.cull, ..wgpu::PrimitiveState::default() },
-        depth_stencil: recipe.depth.clone(),
-        multisample: wgpu::MultisampleState { count: recipe.samples, ..wgpu::MultisampleState::default() },
-        fragment: recipe.fragment.map(|(entry, _)| wgpu::FragmentState {
-            module,
-            entry_point: Some(entry),
-            compilation_options: wgpu::PipelineCompilationOptions { constants: recipe.constants, ..Default::default() },
-            targets: &targets,
-        }),
-        multiview_mask: None,
-        cache: None,
-    })
-}
-
-fn depth(compare: wgpu::CompareFunction, bias: wgpu::DepthBiasState) -> wgpu::DepthStencilState {
-    wgpu::DepthStencilState {
-        format: DEPTH_FORMAT,
-        depth_write_enabled: Some(true),
-        depth_compare: Some(compare),
-        stencil: wgpu::StencilState::default(),
-        bias,
-    }
-}
-
 /// The composite does not draw to what has samples.
 fn key(kind: Kind, what: Use) -> (Kind, Use) {
-    (if what == Use::Composite { Kind { samples: 1, ..kind } } else { kind }, what)
-}
-
-fn caster_depth() -> wgpu::DepthStencilState {
-    depth(wgpu::CompareFunction::Less, wgpu::DepthBiasState::default())
+    (if matches!(what, Use::Composite | Use::MirrorMip) { Kind { samples: 1, ..kind } } else { kind }, what)
 }
 
 fn object_vertex(look: Look) -> &'static str {
@@ -243,6 +184,10 @@ fn object_entry(look: Look) -> &'static str {
     }
 }
 
+fn mirrored_entry(look: Look) -> &'static str {
+    if look.detailed { "fs_object_detailed_mirrored" } else { "fs_object_mirrored" }
+}
+
 impl Pipelines {
     pub(super) fn new(gpu: &Gpu, layouts: &Layouts, target: wgpu::TextureFormat) -> Result<Self, GpuError> {
         let casters = Recipe {
@@ -253,6 +198,8 @@ impl Pipelines {
             mesh: true,
             detailed: false,
             blend: false,
+            beside: None,
+            mirrored: false,
             cull: None,
             depth: Some(caster_depth()),
             samples: 1,
@@ -268,6 +215,7 @@ impl Pipelines {
             object: gpu.shader(Module::Object)?,
             glass: gpu.shader(Module::Glass)?,
             ground: gpu.shader(Module::Ground)?,
+            mirror_mip: gpu.shader(Module::MirrorMip)?,
             composite: gpu.shader(Module::Composite)?,
             target,
             made: HashMap::new(),
@@ -295,6 +243,8 @@ impl Pipelines {
             mesh: true,
             detailed: look.detailed,
             blend: false,
+            beside: None,
+            mirrored: false,
             cull: None,
             depth: Some(caster_depth()),
             samples: 1,
@@ -324,10 +274,12 @@ impl Pipelines {
         let reflection = reflection_layout(&gpu.device);
         let groups = Groups { layouts, video: &video, reflection: &reflection };
         match what {
-            Use::Object { surface, look, double_sided } => self.object(gpu, &groups, kind, (surface, look, double_sided)),
+            Use::Object { surface, look, double_sided } => self.object(gpu, &groups, kind, (surface, look, double_sided), false),
+            Use::Mirrored { surface, look, double_sided } => self.object(gpu, &groups, kind, (surface, look, double_sided), true),
+            Use::MirrorMip => self.mirror_mip(gpu, layouts),
             Use::Glass { look } => self.glass(gpu, &groups, kind, look),
             Use::GlassBack => self.glass_back(gpu, &groups),
-            Use::Ground | Use::Place | Use::Horizon => self.ground(gpu, &groups, kind, what),
+            Use::Ground { .. } | Use::Place { .. } | Use::PlaceMirrored | Use::Horizon => self.ground(gpu, &groups, kind, what),
             Use::Composite => self.composite(gpu, &groups, kind),
         }
     }
@@ -338,6 +290,7 @@ impl Pipelines {
         groups: &Groups<'_>,
         kind: Kind,
         (surface, look, double_sided): (Surface, Look, bool),
+        mirrored: bool,
     ) -> wgpu::RenderPipeline {
         let mut constants = surface_constants(kind, surface, look);
         constants.push(("SAMPLES", f64::from(kind.samples)));
@@ -345,11 +298,13 @@ impl Pipelines {
         let recipe = Recipe {
             label: "object",
             vertex: object_vertex(look),
-            fragment: Some((object_entry(look), Some(LAYER_FORMAT))),
+            fragment: Some((if mirrored { mirrored_entry(look) } else { object_entry(look) }, Some(LAYER_FORMAT))),
             layouts: &[Some(&layouts.frame), Some(video), Some(reflection), Some(&layouts.material)],
             mesh: true,
             detailed: look.detailed,
             blend: look.alpha == Alpha::Blend,
+            beside: mirrored.then_some(MIRROR_FORMATS[1]),
+            mirrored,
             cull: (!double_sided).then_some(wgpu::Face::Back),
             depth: Some(wgpu::DepthStencilState { depth_write_enabled: Some(look.alpha != Alpha::Blend), ..nearer() }),
             samples: kind.samples,
@@ -369,6 +324,8 @@ impl Pipelines {
             mesh: true,
             detailed: look.detailed,
             blend: false,
+            beside: None,
+            mirrored: false,
             cull: Some(wgpu::Face::Back),
             depth: Some(nearer()),
             samples: kind.samples,
@@ -386,6 +343,8 @@ impl Pipelines {
             mesh: true,
             detailed: false,
             blend: false,
+            beside: None,
+            mirrored: false,
             cull: Some(wgpu::Face::Front),
             depth: Some(nearer()),
             samples: 1,
@@ -398,25 +357,68 @@ impl Pipelines {
     fn ground(&self, gpu: &Gpu, groups: &Groups<'_>, kind: Kind, what: Use) -> wgpu::RenderPipeline {
         let mut constants = video_constants(kind);
         constants.push(("PLACE", flag(kind.place)));
+        // What is rough and what is smooth has one pipeline.
+        let lobes = [("SURFACE", f64::from(Surface::Varying.index())), ("REFLECTIONS", f64::from(kind.reflections.index()))];
+        let glossy_constants = [constants.as_slice(), &lobes].concat();
+        let layouts = groups.layouts;
         // The ground gives way to what lies flat on it.
         let behind = wgpu::DepthBiasState { constant: -8, slope_scale: -2.0, clamp: 0.0 };
         let ground = Recipe {
             label: "ground",
             vertex: "vs_ground",
             fragment: Some(("fs_ground", Some(LAYER_FORMAT))),
-            layouts: &[Some(&groups.layouts.frame), Some(groups.video)],
+            layouts: &[Some(&layouts.frame), Some(groups.video)],
             mesh: false,
             detailed: false,
             blend: false,
+            beside: None,
+            mirrored: false,
             cull: Some(wgpu::Face::Back),
             depth: Some(depth(wgpu::CompareFunction::Greater, behind)),
             samples: kind.samples,
             constants: &constants,
         };
         match what {
-            Use::Place => {
+            Use::Place { glossy: false } => {
                 let fragment = Some(("fs_place", Some(LAYER_FORMAT)));
                 build(gpu, &self.ground, &Recipe { label: "place", vertex: "vs_place", fragment, mesh: true, cull: None, ..ground })
+            }
+            Use::Place { glossy: true } => {
+                let recipe = Recipe {
+                    label: "glossy place",
+                    vertex: "vs_place",
+                    fragment: Some(("fs_place_glossy", Some(LAYER_FORMAT))),
+                    layouts: &[Some(&layouts.frame), Some(groups.video), Some(groups.reflection)],
+                    mesh: true,
+                    cull: None,
+                    constants: &glossy_constants,
+                    ..ground
+                };
+                build(gpu, &self.ground, &recipe)
+            }
+            Use::PlaceMirrored => {
+                let recipe = Recipe {
+                    label: "mirrored place",
+                    vertex: "vs_place",
+                    fragment: Some(("fs_place_mirrored", Some(MIRROR_FORMATS[0]))),
+                    beside: Some(MIRROR_FORMATS[1]),
+                    mesh: true,
+                    cull: None,
+                    depth: Some(nearer()),
+                    constants: &[],
+                    ..ground
+                };
+                build(gpu, &self.ground, &recipe)
+            }
+            Use::Ground { glossy: true } => {
+                let recipe = Recipe {
+                    label: "glossy ground",
+                    fragment: Some(("fs_ground_glossy", Some(LAYER_FORMAT))),
+                    layouts: &[Some(&layouts.frame), Some(groups.video), Some(groups.reflection), Some(&layouts.mirror)],
+                    constants: &glossy_constants,
+                    ..ground
+                };
+                build(gpu, &self.ground, &recipe)
             }
             Use::Horizon => {
                 let fragment = Some(("fs_horizon", Some(LAYER_FORMAT)));
@@ -427,6 +429,25 @@ impl Pipelines {
             }
             _ => build(gpu, &self.ground, &ground),
         }
+    }
+
+    fn mirror_mip(&self, gpu: &Gpu, layouts: &Layouts) -> wgpu::RenderPipeline {
+        let recipe = Recipe {
+            label: "mirror mip",
+            vertex: "vs_fullscreen",
+            fragment: Some(("fs_mirror_mip", Some(MIRROR_FORMATS[0]))),
+            layouts: &[Some(&layouts.mirror)],
+            mesh: false,
+            detailed: false,
+            blend: false,
+            beside: Some(MIRROR_FORMATS[1]),
+            mirrored: false,
+            cull: None,
+            depth: None,
+            samples: 1,
+            constants: &[],
+        };
+        build(gpu, &self.mirror_mip, &recipe)
     }
 
     fn composite(&self, gpu: &Gpu, groups: &Groups<'_>, kind: Kind) -> wgpu::RenderPipeline {
@@ -441,6 +462,8 @@ impl Pipelines {
             mesh: false,
             detailed: false,
             blend: false,
+            beside: None,
+            mirrored: false,
             cull: None,
             depth: None,
             samples: 1,
@@ -459,11 +482,6 @@ struct Groups<'a> {
 
 fn flag(value: bool) -> f64 {
     f64::from(u8::from(value))
-}
-
-/// Nothing lies before it, which depth is reversed for.
-fn nearer() -> wgpu::DepthStencilState {
-    depth(wgpu::CompareFunction::Greater, wgpu::DepthBiasState::default())
 }
 
 /// What shaders that see the video ask for.
