@@ -130,6 +130,8 @@ pub enum Module {
     MirrorMip,
     /// Video and objects to the target.
     Composite,
+    /// Depth of a whole view.
+    Depth,
     /// What is told of a frame, over the view.
     Overlay,
     /// Light kernels at given directions, for tests against their CPU twins.
@@ -152,6 +154,7 @@ impl Module {
         Self::Ground,
         Self::MirrorMip,
         Self::Composite,
+        Self::Depth,
         Self::Overlay,
         Self::Probe,
         Self::BrdfProbe,
@@ -172,6 +175,7 @@ impl Module {
             Self::Ground => "ground.wgsl",
             Self::MirrorMip => "mirror_mip.wgsl",
             Self::Composite => "composite.wgsl",
+            Self::Depth => "depth.wgsl",
             Self::Overlay => "overlay.wgsl",
             Self::Probe => "probe.wgsl",
             Self::BrdfProbe => "brdf_probe.wgsl",
@@ -211,6 +215,7 @@ files![
     "cube.wgsl",
     "cutout.wgsl",
     "deform.wgsl",
+    "depth.wgsl",
     "environment_lift.wgsl",
     "environment_mip.wgsl",
     "environment_prefilter.wgsl",

@@ -2,7 +2,7 @@
 //!
 //! [`sandbox`] finds the programs and keeps what they write apart from the user's own files, [`process`] starts
 //! them and reads what they say, [`usage`] and [`ports`] ask the system about them. [`clips`] makes what they are fed,
-//! [`probe`] is a peer without a picture. [`samples`] reads what
+//! [`probe`] is a peer without a picture, [`xr`] a headset without hardware. [`samples`] reads what
 //! `--stats` wrote; [`figures`], [`chart`], [`boxes`] and [`table`] make and write what came out; [`lighting`], [`render`] and [`network`] are
 //! benches made of these.
 
@@ -21,3 +21,4 @@ pub mod sandbox;
 pub mod svg;
 pub mod table;
 pub mod usage;
+pub mod xr;

@@ -18,14 +18,21 @@ use crate::governor::{Governor, Tier};
 use crate::headless::{Files, HeadlessOptions, Pace};
 use crate::receive;
 use crate::record::{PictureFile, RecordError, Recorder};
+use crate::viewpoint::Viewpoint;
 use crate::window::WindowOptions;
+use crate::xr::{EyeRecorder, XrOptions};
 
 /// A display whose rate is not known, in thousandths of a frame a second.
 pub(super) const DISPLAY_MHZ: u32 = 60_000;
 
+/// A headset's display, in thousandths of a frame a second.
+pub(super) const HEADSET_MHZ: u32 = 90_000;
+
 /// Where to present.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Mode {
+    /// In a headset, through the system's OpenXR runtime; in a window where there is none.
+    Xr,
     /// In a window; headless where there is no display.
     Window,
     /// Nowhere, or into files.
@@ -70,8 +77,14 @@ pub struct JoinArgs {
     /// Look up, headless.
     #[arg(long, value_name = "DEGREES", default_value_t = 0.0, value_parser = parse_angle, allow_negative_numbers = true)]
     pub pitch_deg: f32,
-    /// What to leave out of frames: 0 nothing, 4 all that can be, or auto, as much as keeps up with the display [default: auto in a window,
-    /// else 0].
+    /// Look as a view did that --record-eyes wrote, headless: from its place, and up to its edges.
+    #[arg(long, value_name = "VIEW.json", conflicts_with_all = ["fov_y_deg", "yaw_deg", "pitch_deg"])]
+    pub view: Option<PathBuf>,
+    /// Keep what the eyes saw, in a headset: once a second both pictures and, in frames.jsonl, from where.
+    #[arg(long, value_name = "FOLDER")]
+    pub record_eyes: Option<PathBuf>,
+    /// What to leave out of frames: 0 nothing, 4 all that can be, or auto, as much as keeps up with the display [default: 0 headless, else
+    /// auto].
     #[arg(long, value_name = "N", value_parser = parse_tier)]
     pub tier: Option<TierChoice>,
     /// Show what a frame costs over the view, as F1 does in a window.
@@ -104,6 +117,7 @@ pub(super) struct Settings {
     record: Option<PathBuf>,
     pub(super) snapshot: Option<PathBuf>,
     pub(super) stats: Option<PathBuf>,
+    record_eyes: Option<PathBuf>,
     pub(super) camera: Camera,
     pub(super) hardware: Hardware,
     pub(super) stop: Arc<AtomicBool>,
@@ -121,9 +135,19 @@ impl JoinArgs {
         let join: JoinUrl = self.url.parse()?;
         let to_file = self.record.is_some() || self.snapshot.is_some();
         let mode = self.mode.unwrap_or(if to_file || self.frames.is_some() { Mode::Headless } else { Mode::Window });
-        if mode == Mode::Window && to_file {
+        if mode != Mode::Headless && to_file {
             bail!("--record and --snapshot go with --mode headless");
         }
+        if mode != Mode::Headless && self.view.is_some() {
+            bail!("--view goes with --mode headless: elsewhere the user looks around");
+        }
+        if mode != Mode::Xr && self.record_eyes.is_some() {
+            bail!("--record-eyes goes with --mode xr");
+        }
+        let camera = match &self.view {
+            Some(path) => Viewpoint::load(path)?,
+            None => Camera::looking(self.yaw_deg.to_radians(), self.pitch_deg.to_radians(), self.fov_y_deg.to_radians()),
+        };
         let user = self.user.unwrap_or_else(|| format!("viewer-{:08x}", std::process::id() ^ random()));
         if !mr360_protocol::track::is_valid_room(&user) {
             bail!("--user {user:?}: not 1 to 64 of a-z A-Z 0-9 - _");
@@ -135,7 +159,8 @@ impl JoinArgs {
             record: self.record,
             snapshot: self.snapshot,
             stats: self.stats,
-            camera: Camera::looking(self.yaw_deg.to_radians(), self.pitch_deg.to_radians(), self.fov_y_deg.to_radians()),
+            record_eyes: self.record_eyes,
+            camera,
             hardware: if self.software_decoding { Hardware::Never } else { Hardware::Prefer },
             stop: Arc::default(),
             size: self.size,
@@ -151,7 +176,7 @@ impl JoinArgs {
 
 impl Settings {
     pub(super) fn wants_sound(&self) -> bool {
-        self.mode == Mode::Window && !self.mute
+        self.mode != Mode::Headless && !self.mute
     }
 
     /// For a display that shows so many frames in 1,000 seconds, or for a file.
@@ -198,6 +223,15 @@ impl Settings {
         let snapshot = snapshot.transpose().map_err(named)?;
         let recorder = self.record.as_deref().map(|path| Recorder::start(path, self.size.0, self.size.1));
         Ok(Files { recorder: recorder.transpose().map_err(named)?, snapshot })
+    }
+
+    /// Creates what keeps the eyes' pictures, as [`Settings::files`] does.
+    pub(super) fn eyes(&self) -> Result<Option<EyeRecorder>, Failure> {
+        self.record_eyes.as_deref().map(EyeRecorder::start).transpose().map_err(Failure::Input)
+    }
+
+    pub(super) fn headset(&self) -> XrOptions {
+        XrOptions { frames: self.frames, duration: self.duration, stop: Arc::clone(&self.stop) }
     }
 
     pub(super) fn window(&self) -> WindowOptions {

@@ -11,13 +11,13 @@ use mr360_protocol::scene::{ApplyError, ObjectId, Scene, SceneMessage, Transform
 
 use crate::camera::Camera;
 use crate::environment::Environment;
-use crate::frame_loop::{BoxError, Drawn, FrameError, Stage, Target};
+use crate::frame_loop::{BoxError, Drawn, FrameError, Shot, Stage};
 use crate::governor::Governor;
-use crate::gpu::Gpu;
+use crate::gpu::{Gpu, GpuError};
 use crate::overlay::{Overlay, Told};
 use crate::scene::model::{LoadedModel, ModelError};
 use crate::scene::pick::Ray;
-use crate::stats::PassTime;
+use crate::stats::{FrameTimes, PassTime};
 use crate::sync::{ClientClock, Paired, ReceivedLight};
 use crate::view::{Element, FrameReport, Renderer, View};
 
@@ -77,6 +77,12 @@ impl SharedScene {
         self.lock().clone()
     }
 
+    /// Height of the ground.
+    #[must_use]
+    pub fn ground_y(&self) -> f32 {
+        self.lock().scene.ground_y
+    }
+
     /// The object's transform with another position.
     #[must_use]
     pub fn moved_to(&self, id: ObjectId, position: Vec3) -> Option<Transform> {
@@ -104,6 +110,8 @@ pub struct LiveStage {
     warned: HashMap<Element, String>,
     governor: Governor,
     clock: ClientClock,
+    /// The last frame that was presented.
+    before: Option<FrameTimes>,
     overlay_shown: bool,
     /// Made when first shown, for the format of the target.
     overlay: Option<(wgpu::TextureFormat, Overlay)>,
@@ -129,6 +137,7 @@ impl LiveStage {
             warned: HashMap::new(),
             governor,
             clock: ClientClock::start(),
+            before: None,
             overlay_shown: false,
             overlay: None,
         })
@@ -167,22 +176,25 @@ impl LiveStage {
         cost_ms
     }
 
-    fn draw_overlay(&mut self, camera: &Camera, target: &Target, drawn: &Drawn, cost_ms: f32) -> Result<(), FrameError> {
+    fn draw_overlay(&mut self, shots: &[Shot], drawn: &Drawn, cost_ms: f32) -> Result<(), FrameError> {
         let Some((_, renderer)) = self.renderer.as_ref().filter(|_| self.overlay_shown) else { return Ok(()) };
-        if self.overlay.as_ref().is_none_or(|(format, _)| *format != target.format) {
+        let Some(first) = shots.first() else { return Ok(()) };
+        let wanted = first.target.format;
+        if self.overlay.as_ref().is_none_or(|(format, _)| *format != wanted) {
             let failed = |source: BoxError| FrameError::Failed { action: "setting up the overlay", source };
-            self.overlay = Some((target.format, Overlay::new(&self.gpu, target.format).map_err(|error| failed(error.into()))?));
+            self.overlay = Some((wanted, Overlay::new(&self.gpu, wanted).map_err(|error| failed(error.into()))?));
         }
         let Some((_, overlay)) = &mut self.overlay else { return Ok(()) };
         let told = Told {
             drawn,
+            before: self.before.as_ref(),
             cost_ms,
             budget_ms: self.governor.budget_us().map(|budget| budget * 1e-3),
             light: renderer.current_light(),
-            looking: camera.ray(Vec2::ZERO, 1.0),
+            looking: first.camera.ray(Vec2::ZERO, 1.0),
         };
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("overlay") });
-        overlay.draw(&self.gpu, &mut encoder, (&target.view, (target.width, target.height)), &told);
+        overlay.draw(&self.gpu, &mut encoder, shots, &told);
         self.gpu.queue.submit([encoder.finish()]);
         Ok(())
     }
@@ -214,14 +226,15 @@ impl Stage for LiveStage {
         renderer.has_objects()
     }
 
-    fn draw(&mut self, camera: &Camera, target: &Target) -> Result<Drawn, FrameError> {
-        if self.renderer.as_ref().is_none_or(|(format, _)| *format != target.format) {
+    fn draw(&mut self, shots: &[Shot]) -> Result<Drawn, FrameError> {
+        let Some(wanted) = shots.first().map(|shot| shot.target.format) else { return Ok(Drawn::default()) };
+        if self.renderer.as_ref().is_none_or(|(format, _)| *format != wanted) {
             let failed = |source: BoxError| FrameError::Failed { action: "setting up the renderer", source };
-            let mut renderer = Renderer::new(&self.gpu, target.format).map_err(|error| failed(error.into()))?;
+            let mut renderer = Renderer::new(&self.gpu, wanted).map_err(|error| failed(error.into()))?;
             if let Some(light) = &self.light {
                 renderer.set_light(light);
             }
-            self.renderer = Some((target.format, renderer));
+            self.renderer = Some((wanted, renderer));
             self.shown = None;
         }
         self.follow_scene();
@@ -230,14 +243,28 @@ impl Stage for LiveStage {
         let tier = self.governor.tier();
         renderer.set_tier(tier);
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("frame") });
-        let view = View { camera: *camera, target: &target.view, size: (target.width, target.height) };
-        let report = renderer.render(&self.gpu, &mut encoder, &mut self.environment, &[view]);
+        let views: Vec<View<'_>> = shots.iter().map(view_of).collect();
+        let depths: Vec<&wgpu::TextureView> = shots.iter().filter_map(|shot| shot.target.depth.as_ref()).collect();
+        renderer.set_keeps_depth(!depths.is_empty());
+        let report = renderer.render(&self.gpu, &mut encoder, &mut self.environment, &views);
+        if !depths.is_empty() {
+            let failed = |error: GpuError| FrameError::Failed { action: "writing depth", source: error.into() };
+            renderer.write_depth(&self.gpu, &mut encoder, &depths).map_err(failed)?;
+        }
         self.gpu.queue.submit([encoder.finish()]);
         let FrameReport { passes, plan, .. } = report;
         let cost_ms = self.govern(begun, &passes);
         let drawn = Drawn { passes, tier, plan };
-        self.draw_overlay(camera, target, &drawn, cost_ms)?;
+        self.draw_overlay(shots, &drawn, cost_ms)?;
         Ok(drawn)
+    }
+
+    fn presented(&mut self, times: &FrameTimes) {
+        self.before = Some(*times);
+    }
+
+    fn set_interval(&mut self, interval_us: u32) {
+        self.governor.set_interval(interval_us);
     }
 
     fn toggle_overlay(&mut self) {
@@ -260,6 +287,10 @@ impl Stage for LiveStage {
     fn position(&self, object: ObjectId) -> Option<Vec3> {
         Some(self.shared.lock().scene.object(object)?.transform.position)
     }
+}
+
+fn view_of(shot: &Shot) -> View<'_> {
+    View { camera: shot.camera, target: &shot.target.view, size: (shot.target.width, shot.target.height) }
 }
 
 fn ray(camera: &Camera, ndc: Vec2, aspect: f32) -> Ray {
@@ -342,7 +373,7 @@ mod tests {
         let mut seen = Vec::new();
         for lit in [true, false, true] {
             stage.update(paired(lit)).unwrap();
-            stage.draw(&camera, &offscreen.target()).unwrap();
+            stage.draw(&[Shot { camera, target: offscreen.target() }]).unwrap();
             seen.push((stage.shown, stage.pick(&camera, Vec2::ZERO, 1.0)));
         }
         assert_eq!(seen, [(Some(1), Some(ObjectId(1))), (Some(1), None), (Some(1), Some(ObjectId(1)))]);

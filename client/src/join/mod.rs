@@ -28,7 +28,8 @@ use crate::stats::Stats;
 use crate::sync::ClientClock;
 use crate::view;
 use crate::window::{self, UserAction, WindowError, WindowGraphics};
-use args::{DISPLAY_MHZ, Settings};
+use crate::xr::{self, EyeRecorder, XrError};
+use args::{DISPLAY_MHZ, HEADSET_MHZ, Settings};
 use arrivals::Arrivals;
 use inbox::Inbox;
 use live_stage::SharedScene;
@@ -42,11 +43,17 @@ use standing::Standing;
 pub fn run(args: JoinArgs) -> Result<(), Failure> {
     let settings = args.settle().map_err(Failure::Input)?;
     let stats = Stats::open(settings.stats.as_deref(), &view::PASSES).map_err(|error| Failure::Input(error.into()))?;
-    let files = settings.files()?;
-    present(&settings, stats, files).map_err(Failure::Running)
+    let outputs = Outputs { files: settings.files()?, eyes: settings.eyes()? };
+    present(&settings, stats, outputs).map_err(Failure::Running)
 }
 
-fn present(settings: &Settings, stats: Stats, files: Files) -> anyhow::Result<()> {
+/// What a run writes.
+struct Outputs {
+    files: Files,
+    eyes: Option<EyeRecorder>,
+}
+
+fn present(settings: &Settings, stats: Stats, outputs: Outputs) -> anyhow::Result<()> {
     let clock = ClientClock::start();
     stop_on_signal(Arc::clone(&settings.stop))?;
     let (network, events) = Network::start(settings.network.clone(), clock)?;
@@ -63,8 +70,9 @@ fn present(settings: &Settings, stats: Stats, files: Files) -> anyhow::Result<()
 
     let mut frames = FrameLoop::new(inputs, clock, stats);
     let shown = match settings.mode {
+        Mode::Xr => in_headset(&mut frames, settings, outputs.eyes, &scene, &user),
         Mode::Window => in_window(&mut frames, settings, &scene, &user),
-        Mode::Headless => to_file(&mut frames, settings, files, &scene),
+        Mode::Headless => to_file(&mut frames, settings, outputs.files, &scene),
     };
     drop(network);
     let presented = frames.frames();
@@ -78,6 +86,26 @@ fn present(settings: &Settings, stats: Stats, files: Files) -> anyhow::Result<()
         dropped => tracing::warn!(dropped, "lights and counts of bytes were dropped while the frame loop stood still"),
     }
     standing.judge(shown, presented, settings.stop.load(Ordering::Relaxed))
+}
+
+fn in_headset(
+    frames: &mut FrameLoop,
+    settings: &Settings,
+    eyes: Option<EyeRecorder>,
+    scene: &SharedScene,
+    user: &User,
+) -> anyhow::Result<()> {
+    let mut open = |gpu: Gpu| -> Result<LiveStage, BoxError> {
+        Ok(settings.stage(LiveStage::new(gpu, scene.clone(), settings.governor(Some(HEADSET_MHZ)))?))
+    };
+    let surroundings = xr::Surroundings { open: &mut open, ground_y: &|| scene.ground_y(), act: &mut |_hands, _stage| [None, None], eyes };
+    match xr::run(frames, &settings.headset(), surroundings) {
+        Err(error @ XrError::NoHeadset { .. }) => {
+            tracing::warn!("{error}; going on in a window");
+            in_window(frames, settings, scene, user)
+        }
+        result => result.map(drop).map_err(Into::into),
+    }
 }
 
 fn in_window(frames: &mut FrameLoop, settings: &Settings, scene: &SharedScene, user: &User) -> anyhow::Result<()> {

@@ -41,12 +41,13 @@ impl Renderer {
     ) {
         let Some((_, layer)) = self.layers.get(at) else { return };
         // Glass goes over the samples of what was drawn, and sees them resolved.
-        let (resolved, depth_store) = match &layer.glass {
+        let (resolved, samples_store) = match &layer.glass {
             Some(glass) => (&glass.drawn, wgpu::StoreOp::Store),
             None => (&layer.resolved, wgpu::StoreOp::Discard),
         };
+        let depth_store = if self.keeps_depth { wgpu::StoreOp::Store } else { samples_store };
         let (target, resolve_target, store) = match &layer.samples {
-            Some(samples) => (samples, Some(resolved), depth_store),
+            Some(samples) => (samples, Some(resolved), samples_store),
             None => (resolved, None, wgpu::StoreOp::Store),
         };
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {

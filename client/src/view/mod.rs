@@ -6,6 +6,9 @@
 //! averages zeros.
 
 mod casting;
+mod depth;
+#[cfg(test)]
+mod depth_tests;
 #[cfg(test)]
 mod energy_tests;
 mod extent;
@@ -58,9 +61,11 @@ use crate::scene::model::LoadedModel;
 use crate::scene::pick::{Ray, nearest};
 use crate::stats::PassTime;
 
+pub use pipelines::DEPTH_FORMAT;
 pub use plan::Plan;
 pub use stage::{Element, ModelFault, SceneWarning};
 
+use depth::DepthPass;
 use extent::{Part, touched};
 use glass::is_glass;
 use mirror::mirrored_use;
@@ -161,6 +166,11 @@ pub struct Renderer {
     time_us: u64,
     /// By view.
     layers: Vec<(Room, Layer)>,
+    /// By view, whether anything was drawn in the last frame.
+    drawn: Vec<bool>,
+    keeps_depth: bool,
+    /// Made when first asked for.
+    depth: Option<DepthPass>,
     tier: Tier,
     /// Samples a pixel of the layers.
     samples: u32,
@@ -199,6 +209,9 @@ impl Renderer {
             reflections: Reflections::default(),
             time_us: 0,
             layers: Vec::new(),
+            drawn: Vec::new(),
+            keeps_depth: false,
+            depth: None,
             tier: Tier::FULL,
             samples: 0,
             unreflected: u32::MAX,
@@ -332,11 +345,13 @@ impl Renderer {
             self.samples = plan.samples;
             self.layers.clear();
         }
+        self.drawn.clear();
         for (at, view) in views.iter().enumerate() {
             // From beneath there is no ground to see.
             let ground = ground.filter(|_| view.camera.position.y > self.stage.ground_y);
             let part = if plan.objects { touched(&view.camera, view.size, &self.stage, ground) } else { None };
             self.resources.write_view(gpu, at, view, part.unwrap_or_default());
+            self.drawn.push(part.is_some());
             if let Some(part) = part {
                 self.make_layer(gpu, at, (part, view.size), plan);
                 if plan.ground_mirrors && ground.is_some() {
@@ -410,8 +425,7 @@ fn view_uniform(view: &View<'_>, layer: Part) -> layout::View {
     let (width, height) = (view.size.0.max(1) as f32, view.size.1.max(1) as f32);
     let aspect = width / height;
     let camera = &view.camera;
-    let tan = (camera.fov_y_rad * 0.5).tan();
-    let axes = [Vec3::X * (tan * aspect), Vec3::Y * tan, Vec3::NEG_Z].map(|axis| (camera.world_from_view * axis).extend(0.0).to_array());
+    let axes = camera.world_from_ndc(aspect).map(|axis| axis.extend(0.0).to_array());
     layout::View {
         clip_from_world: (camera.clip_from_view(aspect) * camera.view_from_world()).to_cols_array_2d(),
         world_from_ndc: axes,

@@ -13,7 +13,7 @@ use crate::gpu::{Gpu, GpuError};
 /// Linear radiance, premultiplied by coverage.
 pub(super) const LAYER_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
 /// Reversed: 1 near, 0 at infinity.
-pub(super) const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
+pub const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
 /// What the ground mirrors: radiance, premultiplied by coverage; and coverage over the way to it, per metre.
 pub(super) const MIRROR_FORMATS: [wgpu::TextureFormat; 2] = [wgpu::TextureFormat::Rgba16Float, wgpu::TextureFormat::R16Float];
 /// Back faces of glass: outward normal, and metres from the eye.

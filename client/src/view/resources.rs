@@ -328,7 +328,7 @@ impl Layer {
         let make = |label, samples, format, usage| texture(device, (label, 1), size, 1, samples, format, usage);
         let view = texture_view;
         let resolved = view(&make("layer", 1, LAYER_FORMAT, attachment | bound));
-        let depth_texture = make("layer depth", count, DEPTH_FORMAT, attachment | wgpu::TextureUsages::COPY_SRC);
+        let depth_texture = make("layer depth", count, DEPTH_FORMAT, attachment | bound | wgpu::TextureUsages::COPY_SRC);
         let glass = glass.then(|| {
             let drawn_depth = make("drawn depth", count, DEPTH_FORMAT, wgpu::TextureUsages::COPY_DST | attachment | bound);
             GlassLayer {
