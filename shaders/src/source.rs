@@ -142,7 +142,7 @@ pub enum Module {
 
 impl Module {
     /// Every module.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 15] = [
         Self::EnvironmentLift,
         Self::EnvironmentMip,
         Self::EnvironmentPrefilter,

@@ -247,8 +247,8 @@ fn meets_ball(camera: &Camera, direction: Vec3, radius: f32) -> bool {
 fn panorama_reaches_all_edges(camera: &Camera, picture: &RgbImage) -> Result<()> {
     ensure!(picture.dimensions() == EYE, "a picture of {:?}", picture.dimensions());
     let (width, height) = EYE;
-    let edges: [(&str, Vec<(u32, u32)>, Vec2); 4] = [
-        ("left", (0..3).flat_map(|x| (0..height).map(move |y| (x, y))).collect(), Vec2::X),
+    let edges = [
+        ("left", (0..3).flat_map(|x| (0..height).map(move |y| (x, y))).collect::<Vec<(u32, u32)>>(), Vec2::X),
         ("right", (width - 3..width).flat_map(|x| (0..height).map(move |y| (x, y))).collect(), Vec2::X),
         ("upper", (0..3).flat_map(|y| (0..width).map(move |x| (x, y))).collect(), Vec2::Y),
         ("lower", (height - 3..height).flat_map(|y| (0..width).map(move |x| (x, y))).collect(), Vec2::Y),
