@@ -29,9 +29,12 @@ use crate::gpu::{Gpu, GpuError, block_on};
 use crate::picture::{Picture, Samples};
 use crate::record::PictureFile;
 use crate::scene::model::Model;
-use crate::view::{Renderer, View};
+use crate::view::{Parallax, Renderer, View};
 
+mod eyes;
 mod passes;
+
+pub use eyes::Eyes;
 
 /// Longest side of a panorama, pixels.
 const MAX_SIDE: u32 = 16_384;
@@ -86,6 +89,31 @@ pub struct RenderArgs {
     /// How glossy surfaces look into the panorama: prefiltered maps, 36 samples a pixel (iorns) or 16 (taps).
     #[arg(long, value_parser = parse_reflections, default_value = "prefiltered")]
     pub reflections: Reflections,
+    /// Distance of the background of a mono panorama, for eyes beside the camera that filmed: infinity, ground (ground and place where they
+    /// are, all else on a dome of 50 m), or ground:RADIUS.
+    #[arg(long, default_value = "ground", value_name = "SETTING")]
+    pub parallax: Parallax,
+    /// One picture, or both eyes' side by side, each of --size.
+    #[arg(long, value_enum, default_value_t = Eyes::One, conflicts_with = "right_eye")]
+    pub eyes: Eyes,
+    /// Distance between the eyes, millimetres.
+    #[arg(long, default_value_t = 64.0, value_parser = eyes::parse_ipd, allow_negative_numbers = true)]
+    pub ipd_mm: f32,
+}
+
+/// How pictures are drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Methods {
+    /// How lobes are looked up.
+    pub reflections: Reflections,
+    /// How far away the background is.
+    pub parallax: Parallax,
+}
+
+impl From<Reflections> for Methods {
+    fn from(reflections: Reflections) -> Self {
+        Self { reflections, ..Self::default() }
+    }
 }
 
 fn parse_reflections(text: &str) -> Result<Reflections, String> {
@@ -126,20 +154,19 @@ pub fn run(args: &RenderArgs) -> Result<(), Failure> {
     let Inputs { picture, light, scene, assets } = &inputs;
     let still = Still { gpu: &gpu, picture, light, scene, assets };
     // All is drawn before anything is written: a GPU that fails leaves no half of what was asked for.
-    let coded = (coded, still.draw_by(args.reflections, &camera, args.size, wgpu::TextureFormat::Rgba8UnormSrgb)?);
+    let methods = Methods { reflections: args.reflections, parallax: args.parallax };
+    let draw = |format| args.eyes.draw(&still, methods, (&camera, args.ipd_mm * 1e-3), args.size, format);
+    let coded = (coded, draw(wgpu::TextureFormat::Rgba8UnormSrgb)?);
     let linear = match linear {
-        Some(file) => Some((file, still.draw_by(args.reflections, &camera, args.size, wgpu::TextureFormat::Rgba32Float)?)),
+        Some(file) => Some((file, draw(wgpu::TextureFormat::Rgba32Float)?)),
         None => None,
     };
     if let Some(mut file) = passes {
-        let rows: String = still
-            .time_passes(args.reflections, &camera, args.size)?
-            .iter()
-            .map(|pass| format!("{},{}\n", pass.name, pass.gpu_ms))
-            .collect();
+        let rows: String =
+            still.time_passes(methods, &camera, args.size)?.iter().map(|pass| format!("{},{}\n", pass.name, pass.gpu_ms)).collect();
         file.write_all(format!("pass,gpu_ms\n{rows}").as_bytes()).context("--passes: cannot be written").map_err(Failure::Running)?;
     }
-    save(args.size, coded, linear).map_err(Failure::Running)
+    save(args.eyes.picture_size(args.size), coded, linear).map_err(Failure::Running)
 }
 
 /// What is drawn.
@@ -215,16 +242,16 @@ impl Still<'_> {
     /// [`Failure::Input`] for a model that cannot be drawn, and for a panorama or a picture too large for the GPU; [`Failure::Running`] for a
     /// GPU that refuses or is lost.
     pub fn draw(&self, camera: &Camera, size: (u32, u32), format: wgpu::TextureFormat) -> Result<Vec<u8>, Failure> {
-        self.draw_by(Reflections::default(), camera, size, format)
+        self.draw_by(Methods::default(), camera, size, format)
     }
 
-    /// As [`Still::draw`], with reflections looked up this way.
+    /// As [`Still::draw`], by these methods.
     ///
     /// # Errors
     /// As [`Still::draw`].
     pub fn draw_by(
         &self,
-        reflections: Reflections,
+        methods: impl Into<Methods>,
         camera: &Camera,
         size: (u32, u32),
         format: wgpu::TextureFormat,
@@ -237,7 +264,7 @@ impl Still<'_> {
         }
         let memory = gpu.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let validation = gpu.device.push_error_scope(wgpu::ErrorFilter::Validation);
-        let drawn = self.draw_checked(reflections, camera, size, format);
+        let drawn = self.draw_checked(methods.into(), camera, size, format);
         let fault = [block_on(validation.pop()), block_on(memory.pop())].into_iter().flatten().next();
         match fault {
             // The fault came first: what it left undone may have failed in turn.
@@ -247,13 +274,14 @@ impl Still<'_> {
     }
 
     /// The panorama on the GPU, and a renderer that has light and scene.
-    fn set_up(&self, reflections: Reflections, format: wgpu::TextureFormat) -> Result<(Environment, Renderer), Failure> {
+    fn set_up(&self, methods: Methods, format: wgpu::TextureFormat) -> Result<(Environment, Renderer), Failure> {
         let gpu = self.gpu;
         let mut environment = Environment::new(gpu).map_err(running)?;
         environment.upload(gpu, self.picture).map_err(|error| Failure::Input(error.into()))?;
         let mut renderer = Renderer::new(gpu, format).map_err(running)?;
         renderer.set_light(self.light);
-        renderer.set_reflections(reflections);
+        renderer.set_reflections(methods.reflections);
+        renderer.set_parallax(methods.parallax);
         renderer.set_time(self.picture.pts_us);
         if let Some(warning) = renderer.set_scene(gpu, self.scene, &|id| self.assets.get(&id).cloned().map(Ok)).into_iter().next() {
             return Err(Failure::Input(warning.into()));
@@ -261,15 +289,9 @@ impl Still<'_> {
         Ok((environment, renderer))
     }
 
-    fn draw_checked(
-        &self,
-        reflections: Reflections,
-        camera: &Camera,
-        size: (u32, u32),
-        format: wgpu::TextureFormat,
-    ) -> Result<Vec<u8>, Failure> {
+    fn draw_checked(&self, methods: Methods, camera: &Camera, size: (u32, u32), format: wgpu::TextureFormat) -> Result<Vec<u8>, Failure> {
         let gpu = self.gpu;
-        let (mut environment, mut renderer) = self.set_up(reflections, format)?;
+        let (mut environment, mut renderer) = self.set_up(methods, format)?;
         let target = target(gpu, size, format);
         let view = target.create_view(&wgpu::TextureViewDescriptor::default());
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());

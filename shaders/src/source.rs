@@ -225,6 +225,7 @@ files![
     "object.wgsl",
     "occlusion.wgsl",
     "overlay.wgsl",
+    "parallax.wgsl",
     "probe.wgsl",
     "reflection.wgsl",
     "sh.wgsl",

@@ -5,6 +5,7 @@
 
 #import "fullscreen.wgsl"
 #import "frame.wgsl"
+#import "parallax.wgsl"
 #import "video.wgsl"
 
 // The target stores sRGB codes that the shader must make.
@@ -21,7 +22,7 @@ fn fs_composite(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
     }
     var colour = drawn.rgb;
     if drawn.a < 1.0 {
-        colour += video_radiance(ray_through(at.xy), view.eye) * (1.0 - drawn.a);
+        colour += video_radiance(filmed_along(ray_through(at.xy)), view.eye) * (1.0 - drawn.a);
     }
     if ENCODE_SRGB {
         let shown = clamp(colour, vec3(0.0), vec3(1.0));

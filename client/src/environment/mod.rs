@@ -64,6 +64,7 @@ pub struct Environment {
     planes: Planes,
     bind_group: wgpu::BindGroup,
     eye_width: u32,
+    stereo: bool,
     reflections: ReflectionMap,
     /// The method that the reflection maps are up to date for.
     reflected: Option<Reflections>,
@@ -97,7 +98,7 @@ impl Environment {
         gpu.queue.write_buffer(&uniform, 0, bytemuck::bytes_of(&video));
         let kind =
             VideoKind { transfer: transfer_index(Transfer::Linear), planar: false, whole_width: true, lift: lift_index(Lift::Linear) };
-        Ok(Self { layout, sampler, uniform, video, kind, planes, bind_group, eye_width: 1, reflections, reflected: None })
+        Ok(Self { layout, sampler, uniform, video, kind, planes, bind_group, eye_width: 1, stereo: false, reflections, reflected: None })
     }
 
     /// Puts the next picture on the GPU. Textures are kept while size and format stay.
@@ -110,6 +111,7 @@ impl Environment {
             self.bind_group = video_bind_group(&gpu.device, &self.layout, &self.uniform, &self.planes, &self.sampler);
         }
         self.eye_width = picture.stereo.eye_size(picture.width, picture.height).0;
+        self.stereo = picture.stereo != StereoLayout::Mono;
         self.kind = VideoKind::new(picture, self.kind.lift);
         self.video = layout::Video { recovery: self.video.recovery, ..video_uniform(picture, self.planes.code_scale()) };
         gpu.queue.write_buffer(&self.uniform, 0, bytemuck::bytes_of(&self.video));
@@ -141,6 +143,11 @@ impl Environment {
             self.reflections.record(gpu, encoder, (self.kind, &self.bind_group), self.eye_width, (light, method), timer);
             self.reflected = Some(method);
         }
+    }
+
+    /// The picture shows each eye its own view.
+    pub(crate) fn is_stereo(&self) -> bool {
+        self.stereo
     }
 
     /// What pipelines that see the video are made for.

@@ -19,7 +19,7 @@ use crate::scene::model::{LoadedModel, ModelError};
 use crate::scene::pick::Ray;
 use crate::stats::PassTime;
 use crate::sync::{ClientClock, Paired, ReceivedLight};
-use crate::view::{Element, FrameReport, Renderer, View};
+use crate::view::{Element, FrameReport, Parallax, Renderer, View};
 
 /// Most bytes of memory for all models together.
 const MAX_MODEL_BYTES: usize = 2 * 1024 * 1024 * 1024;
@@ -103,6 +103,7 @@ pub struct LiveStage {
     pts_us: u64,
     warned: HashMap<Element, String>,
     governor: Governor,
+    parallax: Parallax,
     clock: ClientClock,
     overlay_shown: bool,
     /// Made when first shown, for the format of the target.
@@ -128,10 +129,17 @@ impl LiveStage {
             pts_us: 0,
             warned: HashMap::new(),
             governor,
+            parallax: Parallax::default(),
             clock: ClientClock::start(),
             overlay_shown: false,
             overlay: None,
         })
+    }
+
+    /// The same with the background of mono video at this distance.
+    #[must_use]
+    pub fn with_parallax(self, parallax: Parallax) -> Self {
+        Self { parallax, ..self }
     }
 
     fn follow_scene(&mut self) {
@@ -218,6 +226,7 @@ impl Stage for LiveStage {
         if self.renderer.as_ref().is_none_or(|(format, _)| *format != target.format) {
             let failed = |source: BoxError| FrameError::Failed { action: "setting up the renderer", source };
             let mut renderer = Renderer::new(&self.gpu, target.format).map_err(|error| failed(error.into()))?;
+            renderer.set_parallax(self.parallax);
             if let Some(light) = &self.light {
                 renderer.set_light(light);
             }

@@ -2,9 +2,8 @@
 
 use anyhow::anyhow;
 use glam::Quat;
-use mr360_shaders::source::Reflections;
 
-use super::{Still, running, target};
+use super::{Methods, Still, running, target};
 use crate::Failure;
 use crate::camera::Camera;
 use crate::stats::PassTime;
@@ -21,9 +20,9 @@ impl Still<'_> {
     ///
     /// # Errors
     /// As [`Still::draw`], and [`Failure::Running`] for a GPU that cannot time its passes.
-    pub fn time_passes(&self, reflections: Reflections, camera: &Camera, size: (u32, u32)) -> Result<Vec<PassTime>, Failure> {
+    pub fn time_passes(&self, methods: Methods, camera: &Camera, size: (u32, u32)) -> Result<Vec<PassTime>, Failure> {
         let (gpu, format) = (self.gpu, wgpu::TextureFormat::Rgba8UnormSrgb);
-        let (mut environment, mut renderer) = self.set_up(reflections, format)?;
+        let (mut environment, mut renderer) = self.set_up(methods, format)?;
         let view = target(gpu, size, format).create_view(&wgpu::TextureViewDescriptor::default());
         let mut light = self.light.clone();
         let mut frames = Vec::with_capacity(TIMED_FRAMES);

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::f32::consts::PI;
 
 use glam::Vec3;
-use mr360_protocol::scene::{Geometry, Gloss, Material, Object, Scene};
+use mr360_protocol::scene::{Geometry, Gloss, Material, Scene};
 
 use super::place_tests::{block, scene as place_scene};
 use super::shadow_tests::{Eye, GROUND_Y, Solid, light, towards};

@@ -20,6 +20,9 @@ mod mirror;
 #[cfg(test)]
 mod mirror_tests;
 mod models;
+pub mod parallax;
+#[cfg(test)]
+mod parallax_tests;
 mod pipelines;
 mod place;
 #[cfg(test)]
@@ -58,6 +61,7 @@ use crate::scene::model::LoadedModel;
 use crate::scene::pick::{Ray, nearest};
 use crate::stats::PassTime;
 
+pub use parallax::Parallax;
 pub use plan::Plan;
 pub use stage::{Element, ModelFault, SceneWarning};
 
@@ -157,6 +161,7 @@ pub struct Renderer {
     current: FrameLight,
     visible: bool,
     reflections: Reflections,
+    parallax: Parallax,
     /// Of the picture: when its animations are.
     time_us: u64,
     /// By view.
@@ -197,6 +202,7 @@ impl Renderer {
             current: FrameLight::default(),
             visible: true,
             reflections: Reflections::default(),
+            parallax: Parallax::default(),
             time_us: 0,
             layers: Vec::new(),
             tier: Tier::FULL,
@@ -236,6 +242,11 @@ impl Renderer {
     pub fn set_reflections(&mut self, method: Reflections) {
         self.reflections = method;
         self.unreflected = u32::MAX;
+    }
+
+    /// Shows the background of a source with one view at this distance from the next frame on.
+    pub fn set_parallax(&mut self, parallax: Parallax) {
+        self.parallax = parallax;
     }
 
     /// Shows animated models in their pose of this time from the next frame on: the pts of the environment's picture. They move
@@ -311,32 +322,42 @@ impl Renderer {
         }
         let frusta: Vec<Frustum> =
             self.current.lights.iter().take(plan.shadows).map(|light| self.resources.frustum(light, &self.stage)).collect();
-        let place = self.place_frusta(frusta.len());
+        let place_frusta = self.place_frusta(frusta.len());
         let eyes: Vec<Vec3> = views.iter().filter(|_| plan.ground_mirrors).map(|view| view.camera.position).collect();
         let ground = self.stage.changed_ground(&self.current, frusta.len(), &eyes);
         let lights = (&self.current, &self.reflected);
-        self.resources.write_frame(gpu, &self.stage, lights, (&frusta, &place), (plan.occlusion, ground));
+        self.resources.write_frame(gpu, &self.stage, lights, (&frusta, &place_frusta), (plan.occlusion, ground));
         let mut report = FrameReport { plan, ..FrameReport::default() };
         self.pose(gpu, encoder, plan, views);
+        let dome_m = self.parallax.dome_m(environment.is_stereo(), views.iter().map(|view| view.camera.position));
+        let place = !self.stage.place.draws.is_empty();
+        // Then the place is drawn whether or not there are objects, and in the same way.
+        let background = dome_m.is_some() && place;
+        let samples = if background { Tier::FULL.limits().samples } else { plan.samples };
         let kind = Kind {
             video: environment.kind(),
             sh_count: self.current.sh_count,
-            samples: plan.samples,
+            samples,
             reflections: self.reflections,
-            place: !self.stage.place.draws.is_empty(),
+            place,
+            parallax: dome_m.is_some(),
         };
         self.prepare(gpu, kind, plan);
         self.draw_shadows(encoder, &frusta, &mut report);
-        self.draw_place_shadows(encoder, place, &mut report);
-        if plan.objects && self.samples != plan.samples {
-            self.samples = plan.samples;
+        self.draw_place_shadows(encoder, place_frusta, &mut report);
+        if (plan.objects || background) && self.samples != samples {
+            self.samples = samples;
             self.layers.clear();
         }
         for (at, view) in views.iter().enumerate() {
             // From beneath there is no ground to see.
             let ground = ground.filter(|_| view.camera.position.y > self.stage.ground_y);
-            let part = if plan.objects { touched(&view.camera, view.size, &self.stage, ground) } else { None };
-            self.resources.write_view(gpu, at, view, part.unwrap_or_default());
+            let part = match background {
+                true => Some(Part { origin: (0, 0), size: view.size }),
+                false if plan.objects => touched(&view.camera, view.size, &self.stage, ground),
+                false => None,
+            };
+            self.resources.write_view(gpu, at, (view, dome_m), part.unwrap_or_default());
             if let Some(part) = part {
                 self.make_layer(gpu, at, (part, view.size), plan);
                 if plan.ground_mirrors && ground.is_some() {
@@ -368,7 +389,7 @@ impl Renderer {
             (Use::PlaceMirrored, plan.ground_mirrors && kind.place),
             (Use::Horizon, plan.ground_hides),
             (Use::GlassBack, plan.glass),
-            (Use::Place { glossy: plan.place_mirrors }, plan.objects && kind.place),
+            (Use::Place { glossy: plan.place_mirrors }, (plan.objects || kind.parallax) && kind.place),
         ];
         let mirrored = self.stage.draws.iter().filter(|draw| plan.ground_mirrors && !is_glass(draw)).map(mirrored_use);
         for what in objects.chain(mirrored).chain(others.into_iter().filter_map(|(what, needed)| needed.then_some(what))) {
@@ -406,7 +427,7 @@ fn draw_part(pass: &mut wgpu::RenderPass<'_>, model: &models::GpuModel, part: &m
 }
 
 /// The view's uniform.
-fn view_uniform(view: &View<'_>, layer: Part) -> layout::View {
+fn view_uniform((view, dome_m): (&View<'_>, Option<f32>), layer: Part) -> layout::View {
     let (width, height) = (view.size.0.max(1) as f32, view.size.1.max(1) as f32);
     let aspect = width / height;
     let camera = &view.camera;
@@ -420,6 +441,8 @@ fn view_uniform(view: &View<'_>, layer: Part) -> layout::View {
         size_px: [width, height],
         layer_origin: [layer.origin.0 as f32, layer.origin.1 as f32],
         layer_size: [layer.size.0 as f32, layer.size.1 as f32],
-        padding: [0.0; 2],
+        // An eye stays well within the dome.
+        dome_m: dome_m.unwrap_or_default().max(2.0 * camera.position.length()),
+        padding: 0.0,
     }
 }

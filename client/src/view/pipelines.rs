@@ -65,6 +65,8 @@ pub(super) struct Kind {
     pub(super) reflections: Reflections,
     /// The scene has meshes of the place.
     pub(super) place: bool,
+    /// The background has a distance.
+    pub(super) parallax: bool,
 }
 
 /// What a pipeline draws.
@@ -316,6 +318,8 @@ impl Pipelines {
     fn glass(&self, gpu: &Gpu, groups: &Groups<'_>, kind: Kind, look: Look) -> wgpu::RenderPipeline {
         let Groups { layouts, video, reflection } = groups;
         let entry = if look.detailed { "fs_glass_detailed" } else { "fs_glass" };
+        let mut constants = surface_constants(kind, Surface::Glass, look);
+        constants.push(("PARALLAX", flag(kind.parallax)));
         let recipe = Recipe {
             label: "glass",
             vertex: object_vertex(look),
@@ -329,7 +333,7 @@ impl Pipelines {
             cull: Some(wgpu::Face::Back),
             depth: Some(nearer()),
             samples: kind.samples,
-            constants: &surface_constants(kind, Surface::Glass, look),
+            constants: &constants,
         };
         build(gpu, &self.glass, &recipe)
     }
@@ -356,7 +360,7 @@ impl Pipelines {
     /// Ground, the place's meshes, or the ground's horizon.
     fn ground(&self, gpu: &Gpu, groups: &Groups<'_>, kind: Kind, what: Use) -> wgpu::RenderPipeline {
         let mut constants = video_constants(kind);
-        constants.push(("PLACE", flag(kind.place)));
+        constants.extend([("PLACE", flag(kind.place)), ("PARALLAX", flag(kind.parallax))]);
         // What is rough and what is smooth has one pipeline.
         let lobes = [("SURFACE", f64::from(Surface::Varying.index())), ("REFLECTIONS", f64::from(kind.reflections.index()))];
         let glossy_constants = [constants.as_slice(), &lobes].concat();
@@ -453,7 +457,7 @@ impl Pipelines {
     fn composite(&self, gpu: &Gpu, groups: &Groups<'_>, kind: Kind) -> wgpu::RenderPipeline {
         let eight_bits = matches!(self.target, wgpu::TextureFormat::Rgba8Unorm | wgpu::TextureFormat::Bgra8Unorm);
         let mut constants = video_constants(kind);
-        constants.push(("ENCODE_SRGB", flag(eight_bits)));
+        constants.extend([("ENCODE_SRGB", flag(eight_bits)), ("PARALLAX", flag(kind.parallax))]);
         let recipe = Recipe {
             label: "composite",
             vertex: "vs_fullscreen",

@@ -177,13 +177,14 @@ impl Resources {
         gpu.device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some("glass"), layout: &layouts.glass, entries: &entries })
     }
 
-    pub(super) fn write_view(&self, gpu: &Gpu, at: usize, view: &View<'_>, layer: Part) {
+    /// Writes a view, and the radius of its background's dome where that has one.
+    pub(super) fn write_view(&self, gpu: &Gpu, at: usize, view: (&View<'_>, Option<f32>), layer: Part) {
         self.write_view_uniform(gpu, at, &view_uniform(view, layer));
     }
 
     /// Writes the image of a view in the ground.
     pub(super) fn write_mirrored_view(&self, gpu: &Gpu, at: usize, view: &View<'_>, layer: Part, ground_y: f32) {
-        let (own, reflection) = (view_uniform(view, layer), mirror::reflection(ground_y));
+        let (own, reflection) = (view_uniform((view, None), layer), mirror::reflection(ground_y));
         let image = layout::View {
             clip_from_world: (Mat4::from_cols_array_2d(&own.clip_from_world) * reflection).to_cols_array_2d(),
             world_from_ndc: own.world_from_ndc.map(|[x, y, z, padding]| [x, -y, z, padding]),
