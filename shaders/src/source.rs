@@ -203,6 +203,7 @@ macro_rules! files {
 }
 
 files![
+    "background.wgsl",
     "brdf.wgsl",
     "brdf_probe.wgsl",
     "caster.wgsl",

@@ -15,7 +15,8 @@ struct View {
     layer_size: vec2<f32>,
     // Of the dome that the background lies on, metres.
     dome_m: f32,
-    padding: f32,
+    // Rays along each side of a pixel that show the background.
+    rays: u32,
 }
 
 // What casts shadows, as one light sees it.

@@ -1,10 +1,9 @@
 // The real surfaces, ground and meshes of the place, as catchers of shadows:
 // video × (irradiance with objects / irradiance without); and of reflections.
 
+#import "background.wgsl"
 #import "gloss.wgsl"
 #import "occlusion.wgsl"
-#import "parallax.wgsl"
-#import "video.wgsl"
 
 struct GroundVertex {
     @builtin(position) clip: vec4<f32>,
@@ -18,11 +17,6 @@ fn vs_ground(@builtin(vertex_index) index: u32) -> GroundVertex {
     let at = mix(lighting.ground_min, lighting.ground_max, vec2(corner.x, 1.0 - corner.y));
     let world = vec3(at.x, lighting.ground_y, at.y);
     return GroundVertex(view.clip_from_world * vec4(world, 1.0), world);
-}
-
-// The video along a pixel's ray.
-fn video_behind(pixel: vec2<f32>) -> vec3<f32> {
-    return video_radiance(filmed_along(ray_through(pixel + view.layer_origin)), view.eye);
 }
 
 // The video by a factor, as a pixel of the layer.
@@ -40,7 +34,7 @@ fn fs_ground(in: GroundVertex) -> @location(0) vec4<f32> {
     if all(ratio == vec3(1.0)) {
         return vec4(0.0);
     }
-    return changed(video_behind(in.clip.xy), ratio);
+    return changed(background(in.clip.xy + view.layer_origin), ratio);
 }
 
 @fragment
@@ -53,7 +47,7 @@ fn fs_ground_glossy(in: GroundVertex) -> @location(0) vec4<f32> {
     if objects.a == 0.0 && all(ratio == vec3(1.0)) {
         return vec4(0.0);
     }
-    let seen = video_behind(in.clip.xy);
+    let seen = background(in.clip.xy + view.layer_origin);
     let own = gloss(mirror, v.y, lighting.ground_roughness, lighting.ground_f0, footprint_sr);
     return vec4(min(glossy_video(seen, ratio, own, objects.rgb, objects.a), vec3(MAX_MAGNITUDE)), 1.0);
 }
@@ -76,9 +70,9 @@ fn vs_place(@location(0) position: vec3<f32>, @location(1) normal: vec3<f32>, @b
 // The video on a mesh of the place: as far away as that, or along the pixel's ray.
 fn video_on_place(in: PlaceVertex) -> vec3<f32> {
     if PARALLAX {
-        return video_radiance(filmed_at(in.world), view.eye);
+        return background_radiance(filmed_at(in.world));
     }
-    return video_behind(in.clip.xy);
+    return background(in.clip.xy + view.layer_origin);
 }
 
 // By a factor. Nothing is drawn where it is 1, unless the mesh is nearer than what is behind it.

@@ -1,11 +1,15 @@
 //! Display rate: shadows, objects and ground, composite. A frame is recorded in one place, [`Renderer::render`].
 //!
 //! Objects and changed ground are drawn into a multisampled layer of premultiplied linear radiance; the composite
-//! puts it over the video, which is sampled once a pixel. Where nothing was drawn the layer is exactly 0, so these
+//! puts it over the video. Where nothing was drawn the layer is exactly 0, so these
 //! pixels have the same bits as with no object in the scene: the layer's samples are cleared to 0, and resolving
 //! averages zeros.
 
+mod background;
+#[cfg(test)]
+mod background_tests;
 mod casting;
+mod catchers;
 #[cfg(test)]
 mod energy_tests;
 mod extent;
@@ -57,6 +61,7 @@ use crate::camera::Camera;
 use crate::environment::{Environment, FrameLight};
 use crate::governor::Tier;
 use crate::gpu::{Gpu, GpuError};
+use crate::scene::mesh::Bounds;
 use crate::scene::model::LoadedModel;
 use crate::scene::pick::{Ray, nearest};
 use crate::stats::PassTime;
@@ -65,6 +70,7 @@ pub use parallax::Parallax;
 pub use plan::Plan;
 pub use stage::{Element, ModelFault, SceneWarning};
 
+use background::{Background, pixel_rad, rays};
 use extent::{Part, touched};
 use glass::is_glass;
 use mirror::mirrored_use;
@@ -332,8 +338,8 @@ impl Renderer {
         let dome_m = self.parallax.dome_m(environment.is_stereo(), views.iter().map(|view| view.camera.position));
         let place = !self.stage.place.draws.is_empty();
         // Then the place is drawn whether or not there are objects, and in the same way.
-        let background = dome_m.is_some() && place;
-        let samples = if background { Tier::FULL.limits().samples } else { plan.samples };
+        let place_shows = dome_m.is_some() && place;
+        let samples = if place_shows { Tier::FULL.limits().samples } else { plan.samples };
         let kind = Kind {
             video: environment.kind(),
             sh_count: self.current.sh_count,
@@ -341,39 +347,56 @@ impl Renderer {
             reflections: self.reflections,
             place,
             parallax: dome_m.is_some(),
+            magnified: environment.is_coded() && views.iter().any(|view| environment.texels(pixel_rad(view)) < 1.0),
         };
         self.prepare(gpu, kind, plan);
         self.draw_shadows(encoder, &frusta, &mut report);
         self.draw_place_shadows(encoder, place_frusta, &mut report);
-        if (plan.objects || background) && self.samples != samples {
+        if (plan.objects || place_shows) && self.samples != samples {
             self.samples = samples;
             self.layers.clear();
         }
         for (at, view) in views.iter().enumerate() {
-            // From beneath there is no ground to see.
-            let ground = ground.filter(|_| view.camera.position.y > self.stage.ground_y);
-            let part = match background {
-                true => Some(Part { origin: (0, 0), size: view.size }),
-                false if plan.objects => touched(&view.camera, view.size, &self.stage, ground),
-                false => None,
-            };
-            self.resources.write_view(gpu, at, (view, dome_m), part.unwrap_or_default());
-            if let Some(part) = part {
-                self.make_layer(gpu, at, (part, view.size), plan);
-                if plan.ground_mirrors && ground.is_some() {
-                    self.resources.write_mirrored_view(gpu, at, view, part, self.stage.ground_y);
-                    self.draw_mirror(encoder, environment, kind, (at, view, part), &mut report);
-                }
-                self.draw_layer(encoder, environment, kind, (at, view, part), ground.is_some(), &mut report);
-                if plan.glass {
-                    self.draw_glass(gpu, encoder, environment, kind, (at, view, part), &mut report);
-                }
-            }
-            self.composite(encoder, environment, kind, (at, view), part.is_some(), &mut report);
+            self.draw_view(gpu, (&mut *encoder, &*environment), kind, (at, view, dome_m), ground, &mut report);
         }
         self.timer.finish(encoder);
         report.passes = self.timer.latest().to_vec();
         report
+    }
+
+    /// Layers and composite of one view. `ground` is what of it objects can change.
+    fn draw_view(
+        &mut self,
+        gpu: &Gpu,
+        (encoder, environment): (&mut wgpu::CommandEncoder, &Environment),
+        kind: Kind,
+        (at, view, dome_m): (usize, &View<'_>, Option<f32>),
+        ground: Option<Bounds>,
+        report: &mut FrameReport,
+    ) {
+        let plan = report.plan;
+        // From beneath there is no ground to see.
+        let ground = ground.filter(|_| view.camera.position.y > self.stage.ground_y);
+        let part = match kind.place && kind.parallax {
+            // All of it, so that pixels lie in it as they do without objects.
+            true => Some(Part { origin: (0, 0), size: view.size }),
+            false if plan.objects => touched(&view.camera, view.size, &self.stage, ground),
+            false => None,
+        };
+        let background = Background { dome_m: dome_m.unwrap_or_default(), rays: rays(environment.texels(pixel_rad(view))) };
+        self.resources.write_view(gpu, at, (view, background), part.unwrap_or_default());
+        if let Some(part) = part {
+            self.make_layer(gpu, at, (part, view.size), plan);
+            if plan.ground_mirrors && ground.is_some() {
+                self.resources.write_mirrored_view(gpu, at, view, part, self.stage.ground_y);
+                self.draw_mirror(encoder, environment, kind, (at, view, part), report);
+            }
+            self.draw_layer(encoder, environment, kind, (at, view, part), ground.is_some(), report);
+            if plan.glass {
+                self.draw_glass(gpu, encoder, environment, kind, (at, view, part), report);
+            }
+        }
+        self.composite(encoder, environment, kind, (at, view), part.is_some(), report);
     }
 
     /// Makes what pipelines this frame needs and earlier ones did not.
@@ -424,25 +447,4 @@ fn draw_part(pass: &mut wgpu::RenderPass<'_>, model: &models::GpuModel, part: &m
     }
     pass.set_index_buffer(part.indices.slice(..), wgpu::IndexFormat::Uint32);
     pass.draw_indexed(0..part.index_count, 0, draw.instances.clone());
-}
-
-/// The view's uniform.
-fn view_uniform((view, dome_m): (&View<'_>, Option<f32>), layer: Part) -> layout::View {
-    let (width, height) = (view.size.0.max(1) as f32, view.size.1.max(1) as f32);
-    let aspect = width / height;
-    let camera = &view.camera;
-    let tan = (camera.fov_y_rad * 0.5).tan();
-    let axes = [Vec3::X * (tan * aspect), Vec3::Y * tan, Vec3::NEG_Z].map(|axis| (camera.world_from_view * axis).extend(0.0).to_array());
-    layout::View {
-        clip_from_world: (camera.clip_from_view(aspect) * camera.view_from_world()).to_cols_array_2d(),
-        world_from_ndc: axes,
-        position: camera.position.to_array(),
-        eye: u32::from(camera.right_eye),
-        size_px: [width, height],
-        layer_origin: [layer.origin.0 as f32, layer.origin.1 as f32],
-        layer_size: [layer.size.0 as f32, layer.size.1 as f32],
-        // An eye stays well within the dome.
-        dome_m: dome_m.unwrap_or_default().max(2.0 * camera.position.length()),
-        padding: 0.0,
-    }
 }
