@@ -30,11 +30,14 @@ use crate::gpu::{Gpu, GpuError, block_on};
 use crate::picture::{Picture, Samples};
 use crate::record::PictureFile;
 use crate::scene::model::Model;
-use crate::view::{MAX_VIEWS, Renderer, View};
+use crate::view::{MAX_VIEWS, Parallax, Renderer, View};
 
+mod eyes;
 mod timing;
 
 pub use timing::{FrameTimes, Timed};
+
+pub use eyes::Eyes;
 
 /// Longest side of a panorama, pixels.
 const MAX_SIDE: u32 = 16_384;
@@ -101,6 +104,16 @@ pub struct RenderArgs {
     /// How glossy surfaces look into the panorama: prefiltered maps, 36 samples a pixel (iorns) or 16 (taps).
     #[arg(long, value_parser = parse_reflections, default_value = "prefiltered")]
     pub reflections: Reflections,
+    /// Distance of the background of a mono panorama, for eyes beside the camera that filmed: infinity, ground (ground and place where they
+    /// are, all else on a dome of 50 m), or ground:RADIUS.
+    #[arg(long, default_value = "ground", value_name = "SETTING")]
+    pub parallax: Parallax,
+    /// One picture, or both eyes' side by side, each of --size.
+    #[arg(long, value_enum, default_value_t = Eyes::One, conflicts_with = "right_eye")]
+    pub eyes: Eyes,
+    /// Distance between the eyes, millimetres.
+    #[arg(long, default_value_t = 64.0, value_parser = eyes::parse_ipd, allow_negative_numbers = true)]
+    pub ipd_mm: f32,
 }
 
 fn parse_reflections(text: &str) -> Result<Reflections, String> {
@@ -141,11 +154,12 @@ pub fn run(args: &RenderArgs) -> Result<(), Failure> {
     let gpu = Gpu::headless().map_err(running)?;
     let Inputs { picture, light, scene, assets } = &inputs;
     let still = Still { gpu: &gpu, picture, light, scene, assets };
-    let how = How { reflections: args.reflections, tier: args.tier };
+    let how = How { reflections: args.reflections, tier: args.tier, parallax: args.parallax };
     // All is drawn before anything is written: a GPU that fails leaves no half of what was asked for.
-    let coded = (coded, still.draw_by(how, &camera, args.size, wgpu::TextureFormat::Rgba8UnormSrgb)?);
+    let draw = |format| args.eyes.draw(&still, how, (&camera, args.ipd_mm * 1e-3), args.size, format);
+    let coded = (coded, draw(wgpu::TextureFormat::Rgba8UnormSrgb)?);
     let linear = match linear {
-        Some(file) => Some((file, still.draw_by(how, &camera, args.size, wgpu::TextureFormat::Rgba32Float)?)),
+        Some(file) => Some((file, draw(wgpu::TextureFormat::Rgba32Float)?)),
         None => None,
     };
     let timed = Timed { camera, size: args.size, views: args.views as usize };
@@ -158,7 +172,7 @@ pub fn run(args: &RenderArgs) -> Result<(), Failure> {
         let rows = still_ms.iter().zip(&new_picture_ms).map(|(still, new)| format!("{still:.3},{new:.3}"));
         write_rows(file, "still_ms,new_picture_ms", rows).map_err(Failure::Running)?;
     }
-    save(args.size, coded, linear).map_err(Failure::Running)
+    save(args.eyes.picture_size(args.size), coded, linear).map_err(Failure::Running)
 }
 
 fn write_rows(mut file: File, head: &str, rows: impl Iterator<Item = String>) -> anyhow::Result<()> {
@@ -167,12 +181,14 @@ fn write_rows(mut file: File, head: &str, rows: impl Iterator<Item = String>) ->
 }
 
 /// How a picture is drawn.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct How {
     /// How glossy surfaces look into the panorama.
     pub reflections: Reflections,
     /// What is left out.
     pub tier: Tier,
+    /// How far away the background is.
+    pub parallax: Parallax,
 }
 
 impl From<Reflections> for How {
@@ -288,6 +304,7 @@ impl Still<'_> {
         renderer.set_light(self.light);
         renderer.set_reflections(how.reflections);
         renderer.set_tier(how.tier);
+        renderer.set_parallax(how.parallax);
         renderer.set_time(self.picture.pts_us);
         if let Some(warning) = renderer.set_scene(gpu, self.scene, &|id| self.assets.get(&id).cloned().map(Ok)).into_iter().next() {
             return Err(Failure::Input(warning.into()));

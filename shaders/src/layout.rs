@@ -33,8 +33,10 @@ pub struct View {
     pub layer_origin: [f32; 2],
     /// Size of that part, pixels.
     pub layer_size: [f32; 2],
-    /// Unused.
-    pub padding: [f32; 2],
+    /// Radius of the dome that the background lies on, metres.
+    pub dome_m: f32,
+    /// Rays along each side of a pixel that show the background.
+    pub rays: u32,
 }
 
 /// `ShadowMap`: what casts shadows, as one light sees it.
@@ -455,7 +457,7 @@ mod tests {
 
     #[test]
     fn mirrors_match_the_shaders() {
-        mirrors!(Object, View { clip_from_world, world_from_ndc, position, eye, size_px, layer_origin, layer_size, padding });
+        mirrors!(Object, View { clip_from_world, world_from_ndc, position, eye, size_px, layer_origin, layer_size, dome_m, rays });
         mirrors!(Object, ShadowMap { from_world, half_width_m, range_m, texel_m, layer });
         mirrors!(Object, Light { direction, tan_radius, irradiance, cut, objects, place });
         mirrors!(

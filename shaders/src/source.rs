@@ -207,6 +207,7 @@ macro_rules! files {
 }
 
 files![
+    "background.wgsl",
     "brdf.wgsl",
     "brdf_probe.wgsl",
     "caster.wgsl",
@@ -230,6 +231,7 @@ files![
     "object.wgsl",
     "occlusion.wgsl",
     "overlay.wgsl",
+    "parallax.wgsl",
     "probe.wgsl",
     "reflection.wgsl",
     "sh.wgsl",

@@ -13,7 +13,10 @@ struct View {
     // Corner of the image's part that the layer of objects and ground holds, and that part's size.
     layer_origin: vec2<f32>,
     layer_size: vec2<f32>,
-    padding: vec2<f32>,
+    // Of the dome that the background lies on, metres.
+    dome_m: f32,
+    // Rays along each side of a pixel that show the background.
+    rays: u32,
 }
 
 // What casts shadows, as one light sees it.

@@ -126,16 +126,14 @@ fn mirrored_spheres(world: vec3<f32>, mirror: vec3<f32>, roughness: f32) -> vec4
     let lobe_sr = lobe_solid_angle(roughness * roughness);
     var sum = vec3(0.0);
     var left = 1.0;
-    var i = next_occluder(0u, world, false, 0u);
-    while i < lighting.occluder_count {
+    for (var i = 0u; i < lighting.occluder_count; i++) {
         let occluder = occluders[i];
         let to_center = occluder.center - world;
-        let share = sphere_in_lobe(to_center, occluder.radius, mirror, lobe_sr);
+        let share = sphere_in_cone(to_center, occluder.radius, mirror, lobe_sr);
         if share > 0.0 {
             sum = sum * (1.0 - share) + share * sphere_radiance(occluder, to_center, mirror);
             left *= 1.0 - share;
         }
-        i = next_occluder(i + 1u, world, false, 0u);
     }
     return vec4(sum, left);
 }

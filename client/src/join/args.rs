@@ -18,6 +18,7 @@ use crate::governor::{Governor, Tier};
 use crate::headless::{Files, HeadlessOptions, Pace};
 use crate::receive;
 use crate::record::{PictureFile, RecordError, Recorder};
+use crate::view::Parallax;
 use crate::viewpoint::Viewpoint;
 use crate::window::WindowOptions;
 use crate::xr::{EyeRecorder, XrOptions};
@@ -87,6 +88,10 @@ pub struct JoinArgs {
     /// auto].
     #[arg(long, value_name = "N", value_parser = parse_tier_choice)]
     pub tier: Option<TierChoice>,
+    /// Distance of the background of mono video, for eyes beside the camera that filmed: infinity, ground (ground and place where they are,
+    /// all else on a dome of 50 m), or ground:RADIUS.
+    #[arg(long, default_value = "ground", value_name = "SETTING")]
+    pub parallax: Parallax,
     /// Show what a frame costs over the view, as F1 does in a window.
     #[arg(long)]
     pub overlay: bool,
@@ -126,6 +131,7 @@ pub(super) struct Settings {
     duration: Option<Duration>,
     pace: Pace,
     overlay: bool,
+    pub(super) parallax: Parallax,
     tier: Option<TierChoice>,
     mute: bool,
 }
@@ -168,6 +174,7 @@ impl JoinArgs {
             duration: self.duration,
             pace: self.fps.map_or(Pace::Video, Pace::Fixed),
             overlay: self.overlay,
+            parallax: self.parallax,
             tier: self.tier,
             mute: self.mute,
         })

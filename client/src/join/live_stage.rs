@@ -19,7 +19,7 @@ use crate::scene::model::{LoadedModel, ModelError};
 use crate::scene::pick::Ray;
 use crate::stats::{FrameTimes, PassTime};
 use crate::sync::{ClientClock, Paired, ReceivedLight};
-use crate::view::{Element, FrameReport, Renderer, View};
+use crate::view::{Element, FrameReport, Parallax, Renderer, View};
 
 /// Most bytes of memory for all models together.
 const MAX_MODEL_BYTES: usize = 2 * 1024 * 1024 * 1024;
@@ -109,6 +109,7 @@ pub struct LiveStage {
     pts_us: u64,
     warned: HashMap<Element, String>,
     governor: Governor,
+    parallax: Parallax,
     clock: ClientClock,
     /// The last frame that was presented.
     before: Option<FrameTimes>,
@@ -136,11 +137,18 @@ impl LiveStage {
             pts_us: 0,
             warned: HashMap::new(),
             governor,
+            parallax: Parallax::default(),
             clock: ClientClock::start(),
             before: None,
             overlay_shown: false,
             overlay: None,
         })
+    }
+
+    /// The same with the background of mono video at this distance.
+    #[must_use]
+    pub fn with_parallax(self, parallax: Parallax) -> Self {
+        Self { parallax, ..self }
     }
 
     fn follow_scene(&mut self) {
@@ -231,6 +239,7 @@ impl Stage for LiveStage {
         if self.renderer.as_ref().is_none_or(|(format, _)| *format != wanted) {
             let failed = |source: BoxError| FrameError::Failed { action: "setting up the renderer", source };
             let mut renderer = Renderer::new(&self.gpu, wanted).map_err(|error| failed(error.into()))?;
+            renderer.set_parallax(self.parallax);
             if let Some(light) = &self.light {
                 renderer.set_light(light);
             }

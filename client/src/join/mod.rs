@@ -116,7 +116,7 @@ fn in_window(frames: &mut FrameLoop, settings: &Settings, scene: &SharedScene, u
         let surface = instance.create_surface(window)?;
         let gpu = Gpu::new(instance, Some(&surface))?;
         let (adapter, device, queue) = (gpu.adapter.clone(), gpu.device.clone(), gpu.queue.clone());
-        let stage = settings.stage(LiveStage::new(gpu, scene.clone(), governor)?);
+        let stage = settings.stage(LiveStage::new(gpu, scene.clone(), governor)?.with_parallax(settings.parallax));
         Ok(WindowGraphics { surface, adapter, device, queue, stage })
     };
     let mut act = |action| {
@@ -144,7 +144,7 @@ fn to_file(frames: &mut FrameLoop, settings: &Settings, files: Files, scene: &Sh
     let mut open = || -> Result<Graphics<LiveStage>, BoxError> {
         let gpu = Gpu::headless()?;
         let (device, queue) = (gpu.device.clone(), gpu.queue.clone());
-        let stage = settings.stage(LiveStage::new(gpu, scene.clone(), settings.governor(None))?);
+        let stage = settings.stage(LiveStage::new(gpu, scene.clone(), settings.governor(None))?.with_parallax(settings.parallax));
         Ok(Graphics { device, queue, stage })
     };
     let camera: Camera = settings.camera;

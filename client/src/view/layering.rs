@@ -66,13 +66,17 @@ impl Renderer {
         pass.set_bind_group(0, &self.resources.frame, &[at as u32 * VIEW_STRIDE]);
         pass.set_bind_group(1, environment.bind_group(), &[]);
         pass.set_bind_group(2, environment.reflection_bind_group(), &[]);
-        for draw in self.stage.draws.iter().filter(|draw| draw.look.alpha != Alpha::Blend && !is_glass(draw)) {
-            report.draws += self.draw_object(&mut pass, kind, draw);
+        // The place may be drawn without any.
+        let objects = report.plan.objects;
+        if objects {
+            for draw in self.stage.draws.iter().filter(|draw| draw.look.alpha != Alpha::Blend && !is_glass(draw)) {
+                report.draws += self.draw_object(&mut pass, kind, draw);
+            }
+            report.triangles += self.stage.triangles;
         }
-        report.triangles += self.stage.triangles;
         self.draw_place(&mut pass, kind, report);
         // After the objects, so that ground they cover is not shaded. From beneath there is no ground to see.
-        let changed = (ground, Use::Ground { glossy: layer.mirror.is_some() });
+        let changed = (ground && objects, Use::Ground { glossy: layer.mirror.is_some() });
         if let Some(mirror) = &layer.mirror {
             pass.set_bind_group(3, &mirror.group, &[]);
         }
@@ -85,7 +89,7 @@ impl Renderer {
             }
         }
         // Over all that covers, ground too, which writes what is changed and not what is added to it.
-        for draw in self.stage.blended(view.camera.position).0 {
+        for draw in self.stage.blended(view.camera.position).0.into_iter().filter(|_| objects) {
             report.draws += self.draw_object(&mut pass, kind, draw);
         }
     }

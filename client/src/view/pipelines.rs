@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use mr360_shaders::source::{Alpha, Module, Reflections, Surface};
 
 use super::material::{Look, layout_entries};
-use super::recipe::{Recipe, build, caster_depth, depth, nearer};
+use super::recipe::{Recipe, build, caster_depth, nearer};
 use crate::environment::reflection::reflection_layout;
 use crate::environment::{VideoKind, sampler_entry, texture_entry, video_layout};
 use crate::gpu::{Gpu, GpuError};
@@ -47,8 +47,8 @@ pub(super) struct Pipelines {
     cutouts: HashMap<Look, wgpu::RenderPipeline>,
     object: wgpu::ShaderModule,
     glass: wgpu::ShaderModule,
-    ground: wgpu::ShaderModule,
-    mirror_mip: wgpu::ShaderModule,
+    pub(super) ground: wgpu::ShaderModule,
+    pub(super) mirror_mip: wgpu::ShaderModule,
     composite: wgpu::ShaderModule,
     target: wgpu::TextureFormat,
     made: HashMap<(Kind, Use), wgpu::RenderPipeline>,
@@ -65,6 +65,10 @@ pub(super) struct Kind {
     pub(super) reflections: Reflections,
     /// The scene has meshes of the place.
     pub(super) place: bool,
+    /// The background has a distance.
+    pub(super) parallax: bool,
+    /// Pixels are finer than the texels of a coded picture.
+    pub(super) magnified: bool,
 }
 
 /// What a pipeline draws.
@@ -316,6 +320,8 @@ impl Pipelines {
     fn glass(&self, gpu: &Gpu, groups: &Groups<'_>, kind: Kind, look: Look) -> wgpu::RenderPipeline {
         let Groups { layouts, video, reflection } = groups;
         let entry = if look.detailed { "fs_glass_detailed" } else { "fs_glass" };
+        let mut constants = surface_constants(kind, Surface::Glass, look);
+        constants.push(("PARALLAX", flag(kind.parallax)));
         let recipe = Recipe {
             label: "glass",
             vertex: object_vertex(look),
@@ -329,7 +335,7 @@ impl Pipelines {
             cull: Some(wgpu::Face::Back),
             depth: Some(nearer()),
             samples: kind.samples,
-            constants: &surface_constants(kind, Surface::Glass, look),
+            constants: &constants,
         };
         build(gpu, &self.glass, &recipe)
     }
@@ -353,107 +359,12 @@ impl Pipelines {
         build(gpu, &self.glass, &recipe)
     }
 
-    /// Ground, the place's meshes, or the ground's horizon.
-    fn ground(&self, gpu: &Gpu, groups: &Groups<'_>, kind: Kind, what: Use) -> wgpu::RenderPipeline {
-        let mut constants = video_constants(kind);
-        constants.push(("PLACE", flag(kind.place)));
-        // What is rough and what is smooth has one pipeline.
-        let lobes = [("SURFACE", f64::from(Surface::Varying.index())), ("REFLECTIONS", f64::from(kind.reflections.index()))];
-        let glossy_constants = [constants.as_slice(), &lobes].concat();
-        let layouts = groups.layouts;
-        // The ground gives way to what lies flat on it.
-        let behind = wgpu::DepthBiasState { constant: -8, slope_scale: -2.0, clamp: 0.0 };
-        let ground = Recipe {
-            label: "ground",
-            vertex: "vs_ground",
-            fragment: Some(("fs_ground", Some(LAYER_FORMAT))),
-            layouts: &[Some(&layouts.frame), Some(groups.video)],
-            mesh: false,
-            detailed: false,
-            blend: false,
-            beside: None,
-            mirrored: false,
-            cull: Some(wgpu::Face::Back),
-            depth: Some(depth(wgpu::CompareFunction::Greater, behind)),
-            samples: kind.samples,
-            constants: &constants,
-        };
-        match what {
-            Use::Place { glossy: false } => {
-                let fragment = Some(("fs_place", Some(LAYER_FORMAT)));
-                build(gpu, &self.ground, &Recipe { label: "place", vertex: "vs_place", fragment, mesh: true, cull: None, ..ground })
-            }
-            Use::Place { glossy: true } => {
-                let recipe = Recipe {
-                    label: "glossy place",
-                    vertex: "vs_place",
-                    fragment: Some(("fs_place_glossy", Some(LAYER_FORMAT))),
-                    layouts: &[Some(&layouts.frame), Some(groups.video), Some(groups.reflection)],
-                    mesh: true,
-                    cull: None,
-                    constants: &glossy_constants,
-                    ..ground
-                };
-                build(gpu, &self.ground, &recipe)
-            }
-            Use::PlaceMirrored => {
-                let recipe = Recipe {
-                    label: "mirrored place",
-                    vertex: "vs_place",
-                    fragment: Some(("fs_place_mirrored", Some(MIRROR_FORMATS[0]))),
-                    beside: Some(MIRROR_FORMATS[1]),
-                    mesh: true,
-                    cull: None,
-                    depth: Some(nearer()),
-                    constants: &[],
-                    ..ground
-                };
-                build(gpu, &self.ground, &recipe)
-            }
-            Use::Ground { glossy: true } => {
-                let recipe = Recipe {
-                    label: "glossy ground",
-                    fragment: Some(("fs_ground_glossy", Some(LAYER_FORMAT))),
-                    layouts: &[Some(&layouts.frame), Some(groups.video), Some(groups.reflection), Some(&layouts.mirror)],
-                    constants: &glossy_constants,
-                    ..ground
-                };
-                build(gpu, &self.ground, &recipe)
-            }
-            Use::Horizon => {
-                let fragment = Some(("fs_horizon", Some(LAYER_FORMAT)));
-                // It lies in the ground's own plane, and gives way to it too.
-                let farther = wgpu::DepthBiasState { constant: -32, slope_scale: -4.0, clamp: 0.0 };
-                let depth = Some(depth(wgpu::CompareFunction::Greater, farther));
-                build(gpu, &self.ground, &Recipe { label: "horizon", vertex: "vs_horizon", fragment, depth, constants: &[], ..ground })
-            }
-            _ => build(gpu, &self.ground, &ground),
-        }
-    }
-
-    fn mirror_mip(&self, gpu: &Gpu, layouts: &Layouts) -> wgpu::RenderPipeline {
-        let recipe = Recipe {
-            label: "mirror mip",
-            vertex: "vs_fullscreen",
-            fragment: Some(("fs_mirror_mip", Some(MIRROR_FORMATS[0]))),
-            layouts: &[Some(&layouts.mirror)],
-            mesh: false,
-            detailed: false,
-            blend: false,
-            beside: Some(MIRROR_FORMATS[1]),
-            mirrored: false,
-            cull: None,
-            depth: None,
-            samples: 1,
-            constants: &[],
-        };
-        build(gpu, &self.mirror_mip, &recipe)
-    }
-
     fn composite(&self, gpu: &Gpu, groups: &Groups<'_>, kind: Kind) -> wgpu::RenderPipeline {
-        let eight_bits = matches!(self.target, wgpu::TextureFormat::Rgba8Unorm | wgpu::TextureFormat::Bgra8Unorm);
+        let codes = matches!(self.target, wgpu::TextureFormat::Rgba8Unorm | wgpu::TextureFormat::Bgra8Unorm);
+        let encoded = matches!(self.target, wgpu::TextureFormat::Rgba8UnormSrgb | wgpu::TextureFormat::Bgra8UnormSrgb);
         let mut constants = video_constants(kind);
-        constants.push(("ENCODE_SRGB", flag(eight_bits)));
+        constants.extend(background_constants(kind));
+        constants.extend([("ENCODE_SRGB", flag(codes)), ("EIGHT_BITS", flag(codes || encoded))]);
         let recipe = Recipe {
             label: "composite",
             vertex: "vs_fullscreen",
@@ -474,20 +385,25 @@ impl Pipelines {
 }
 
 /// Layouts of the bind groups.
-struct Groups<'a> {
-    layouts: &'a Layouts,
-    video: &'a wgpu::BindGroupLayout,
-    reflection: &'a wgpu::BindGroupLayout,
+pub(super) struct Groups<'a> {
+    pub(super) layouts: &'a Layouts,
+    pub(super) video: &'a wgpu::BindGroupLayout,
+    pub(super) reflection: &'a wgpu::BindGroupLayout,
 }
 
-fn flag(value: bool) -> f64 {
+pub(super) fn flag(value: bool) -> f64 {
     f64::from(u8::from(value))
 }
 
 /// What shaders that see the video ask for.
-fn video_constants(kind: Kind) -> Vec<(&'static str, f64)> {
+pub(super) fn video_constants(kind: Kind) -> Vec<(&'static str, f64)> {
     let [a, b, c, d] = kind.video.constants();
     vec![a, b, c, d, ("SH_COUNT", kind.sh_count as f64)]
+}
+
+/// What shaders that show the video ask for besides.
+pub(super) fn background_constants(kind: Kind) -> [(&'static str, f64); 2] {
+    [("PARALLAX", flag(kind.parallax)), ("MAGNIFIED", flag(kind.magnified))]
 }
 
 /// What shaders of objects ask for besides.

@@ -58,7 +58,7 @@ impl Plan {
     #[must_use]
     pub fn new(scene: SceneNeeds, light: &FrameLight) -> Self {
         if scene.objects == 0 {
-            return Self::default();
+            return Self { place_mirrors: scene.glossy_place, ..Self::default() }.within(Tier::FULL);
         }
         let ambient = luminance(light.sh[0]).max(0.0) * 0.282_094_8 * std::f32::consts::PI;
         let shares: Vec<f32> = light.lights.iter().map(|light| luminance(light.irradiance).max(0.0)).collect();

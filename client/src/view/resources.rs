@@ -6,13 +6,14 @@ use mr360_protocol::light::{DirectionalLight, SAME_LIGHT_COS};
 use mr360_shaders::layout::{self, MAX_OCCLUDERS, SHADOW_MAP_SIZE};
 use mr360_shaders::sh;
 
+use super::background::{Background, view_uniform};
 use super::extent::Part;
 use super::mirror::MirrorLayer;
 use super::pipelines::{BACK_FORMAT, DEPTH_FORMAT, LAYER_FORMAT, Layouts};
 use super::plan::MAX_SHADOWS;
 use super::shadows::{Frustum, LONGEST_SHADOW_M, fit};
 use super::stage::Stage;
-use super::{MAX_VIEWS, View, mirror, view_uniform};
+use super::{MAX_VIEWS, View, mirror};
 use crate::environment::FrameLight;
 use crate::environment::light::{map_cut, tan_radius};
 use crate::gpu::Gpu;
@@ -177,13 +178,14 @@ impl Resources {
         gpu.device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some("glass"), layout: &layouts.glass, entries: &entries })
     }
 
-    pub(super) fn write_view(&self, gpu: &Gpu, at: usize, view: &View<'_>, layer: Part) {
+    /// Writes a view, and how it shows the video.
+    pub(super) fn write_view(&self, gpu: &Gpu, at: usize, view: (&View<'_>, Background), layer: Part) {
         self.write_view_uniform(gpu, at, &view_uniform(view, layer));
     }
 
     /// Writes the image of a view in the ground.
     pub(super) fn write_mirrored_view(&self, gpu: &Gpu, at: usize, view: &View<'_>, layer: Part, ground_y: f32) {
-        let (own, reflection) = (view_uniform(view, layer), mirror::reflection(ground_y));
+        let (own, reflection) = (view_uniform((view, Background::default()), layer), mirror::reflection(ground_y));
         let image = layout::View {
             clip_from_world: (Mat4::from_cols_array_2d(&own.clip_from_world) * reflection).to_cols_array_2d(),
             world_from_ndc: own.world_from_ndc.map(|[x, y, z, padding]| [x, -y, z, padding]),
