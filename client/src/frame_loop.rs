@@ -6,15 +6,16 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, TryRecvError};
 use std::time::Duration;
 
-use glam::{Vec2, Vec3};
 use mr360_protocol::clock::{ClientTime, ClockOffset, ServerTime};
+use mr360_protocol::intent::Action;
 use mr360_protocol::light::LightFrame;
-use mr360_protocol::scene::ObjectId;
 
 use crate::audio::AudioTimeline;
 use crate::camera::Camera;
 use crate::decode::{DecodeCounters, PictureReceiver};
 use crate::governor::Tier;
+use crate::hands::{LocalObject, World};
+use crate::script::Player;
 use crate::stats::{FrameTimes, LightTimes, PassTime, Stats};
 use crate::sync::{ClientClock, LightBlend, Paired, Playout, ReceivedLight};
 use crate::view::Plan;
@@ -102,7 +103,7 @@ pub struct Drawn {
 }
 
 /// The renderer, as the frame loop sees it.
-pub trait Stage {
+pub trait Stage: World {
     /// Takes in what came for the scene since the last turn; true when the view looks different for it.
     ///
     /// # Errors
@@ -134,17 +135,20 @@ pub trait Stage {
     /// Told of every frame once it was presented.
     fn presented(&mut self, _times: &FrameTimes) {}
 
+    /// Shows what mouse and keys do over the view, or no longer.
+    fn toggle_controls(&mut self) {}
+
     /// Why the device was lost, once it is.
     fn device_lost(&self) -> Option<String>;
 
-    /// The nearest object under a point of the image, x and y in [−1, 1], y up.
-    fn pick(&self, camera: &Camera, ndc: Vec2, aspect: f32) -> Option<ObjectId>;
+    /// True once the scene has come that wishes are about.
+    fn has_scene(&self) -> bool;
 
-    /// The point of the ground there.
-    fn ground_point(&self, camera: &Camera, ndc: Vec2, aspect: f32) -> Option<Vec3>;
+    /// Shows at once what this user does, without the server's word.
+    fn predict(&mut self, action: &Action, now: ClientTime);
 
-    /// Where an object stands.
-    fn position(&self, object: ObjectId) -> Option<Vec3>;
+    /// Shows these beside the scene from the next frame on, to this viewer alone.
+    fn show_local(&mut self, objects: &[LocalObject]);
 }
 
 /// When a picture is, in the time of its broadcast.
@@ -242,6 +246,8 @@ pub struct FrameLoop {
     drawing_us: u64,
     frames: u64,
     ended: bool,
+    /// Does what a user did once.
+    player: Option<Player>,
 }
 
 impl FrameLoop {
@@ -261,7 +267,13 @@ impl FrameLoop {
             drawing_us: 0,
             frames: 0,
             ended: false,
+            player: None,
         }
+    }
+
+    /// Plays a script from when there are a picture and a scene.
+    pub fn play(&mut self, player: Player) {
+        self.player = Some(player);
     }
 
     /// One turn of the loop.
@@ -280,6 +292,9 @@ impl FrameLoop {
             return Err(FrameError::DeviceLost { detail });
         }
         self.take_in();
+        if let Some(player) = self.player.as_mut().filter(|_| self.on_stage.is_some() && stage.has_scene()) {
+            player.play(stage, self.clock.now());
+        }
         self.stale |= stage.prepare()?;
         let new_picture = self.update(stage)?;
         // A new picture comes on under its own light, whatever its upload took.

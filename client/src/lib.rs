@@ -19,6 +19,7 @@ pub mod receive;
 pub mod record;
 pub mod render;
 pub mod scene;
+pub mod script;
 pub mod stats;
 pub mod sync;
 pub mod view;

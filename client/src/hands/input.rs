@@ -22,6 +22,38 @@ impl Pose {
     pub fn forward(&self) -> Vec3 {
         self.orientation * Vec3::NEG_Z
     }
+
+    /// A point of its frame in the world.
+    #[must_use]
+    pub fn point(&self, point: Vec3) -> Vec3 {
+        self.position + self.orientation * point
+    }
+
+    /// A point of the world in its frame.
+    #[must_use]
+    pub fn inverse_point(&self, point: Vec3) -> Vec3 {
+        self.orientation.inverse() * (point - self.position)
+    }
+
+    /// A pose of its frame in the world.
+    #[must_use]
+    pub fn child(&self, pose: &Self) -> Self {
+        Self { position: self.point(pose.position), orientation: self.orientation * pose.orientation }
+    }
+
+    /// A pose of the world in its frame.
+    #[must_use]
+    pub fn inverse_child(&self, pose: &Self) -> Self {
+        Self { position: self.inverse_point(pose.position), orientation: self.orientation.inverse() * pose.orientation }
+    }
+
+    /// Itself with a unit quaternion, where it is one at all.
+    #[must_use]
+    pub fn checked(&self) -> Option<Self> {
+        let length = self.orientation.length();
+        let sound = self.position.is_finite() && length.is_finite() && length > 0.1;
+        sound.then(|| Self { position: self.position, orientation: self.orientation / length })
+    }
 }
 
 /// One hand or its controller, as of one frame.
@@ -51,6 +83,20 @@ pub struct HandsInput {
     pub head: Pose,
     /// When all this is so: the predicted display time where there is one.
     pub now: ClientTime,
+}
+
+impl HandsInput {
+    /// With poses that are ones; what is not is not tracked.
+    #[must_use]
+    pub(super) fn checked(&self) -> Self {
+        let hands = self.hands.map(|hand| HandInput {
+            grip: hand.grip.and_then(|pose| pose.checked()),
+            aim: hand.aim.and_then(|pose| pose.checked()),
+            stick: if hand.stick.is_finite() { hand.stick.clamp(Vec2::NEG_ONE, Vec2::ONE) } else { Vec2::ZERO },
+            ..hand
+        });
+        Self { hands, head: self.head.checked().unwrap_or(Pose::IDENTITY), now: self.now }
+    }
 }
 
 /// A pulse for one hand.

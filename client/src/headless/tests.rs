@@ -2,14 +2,15 @@ use std::sync::atomic::AtomicU64;
 use std::sync::mpsc::channel;
 
 use bytes::Bytes;
-use glam::{Vec2, Vec3};
+use glam::Vec3;
+use mr360_protocol::intent::Action;
 use mr360_protocol::light::{LightFrame, SH9};
-use mr360_protocol::scene::ObjectId;
 use mr360_protocol::video::{Colour, StereoLayout};
 
 use super::*;
 use crate::decode::{DecodeCounters, Decoded, PictureReceiver, PictureSender, outbox};
 use crate::frame_loop::{Arrival, Drawn, Inputs};
+use crate::hands::{LocalObject, World};
 use crate::picture::{Picture, Plane, Samples};
 use crate::stats::{PassTime, Stats};
 use crate::sync::{ClientClock, Paired, ReceivedLight};
@@ -65,18 +66,16 @@ impl Stage for Clear {
         self.lost.then(|| "pretended".to_owned())
     }
 
-    fn pick(&self, _camera: &Camera, _ndc: Vec2, _aspect: f32) -> Option<ObjectId> {
-        None
+    fn has_scene(&self) -> bool {
+        true
     }
 
-    fn ground_point(&self, _camera: &Camera, _ndc: Vec2, _aspect: f32) -> Option<Vec3> {
-        None
-    }
+    fn predict(&mut self, _action: &Action, _now: ClientTime) {}
 
-    fn position(&self, _object: ObjectId) -> Option<Vec3> {
-        None
-    }
+    fn show_local(&mut self, _objects: &[LocalObject]) {}
 }
+
+impl World for Clear {}
 
 fn graphics(lost: bool) -> Graphics<Clear> {
     let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());

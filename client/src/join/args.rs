@@ -18,6 +18,7 @@ use crate::governor::{Governor, Tier};
 use crate::headless::{Files, HeadlessOptions, Pace};
 use crate::receive;
 use crate::record::{PictureFile, RecordError, Recorder};
+use crate::script::{self, Deed, ScriptError};
 use crate::view::Parallax;
 use crate::viewpoint::Viewpoint;
 use crate::window::WindowOptions;
@@ -101,6 +102,12 @@ pub struct JoinArgs {
     /// No sound.
     #[arg(long)]
     pub mute: bool,
+    /// Record what the user does to the scene, one JSON object a line.
+    #[arg(long, value_name = "OUT.jsonl")]
+    pub record_input: Option<PathBuf>,
+    /// Do what was recorded, from the first picture on.
+    #[arg(long, value_name = "FILE.jsonl")]
+    pub replay_input: Option<PathBuf>,
     /// Name in the session, 1 to 64 of a-z A-Z 0-9 - _ [default: a random one].
     #[arg(long, value_name = "NAME")]
     pub user: Option<String>,
@@ -134,6 +141,8 @@ pub(super) struct Settings {
     pub(super) parallax: Parallax,
     tier: Option<TierChoice>,
     mute: bool,
+    record_input: Option<PathBuf>,
+    replay_input: Option<PathBuf>,
 }
 
 impl JoinArgs {
@@ -177,6 +186,8 @@ impl JoinArgs {
             parallax: self.parallax,
             tier: self.tier,
             mute: self.mute,
+            record_input: self.record_input,
+            replay_input: self.replay_input,
         })
     }
 }
@@ -239,6 +250,14 @@ impl Settings {
 
     pub(super) fn headset(&self) -> XrOptions {
         XrOptions { frames: self.frames, duration: self.duration, stop: Arc::clone(&self.stop) }
+    }
+
+    /// What is to be done, and where to write what the user does, checked before anything is joined.
+    pub(super) fn scripts(&self) -> Result<(Option<Vec<Deed>>, Option<script::Recorder>), Failure> {
+        let input = |error: ScriptError| Failure::Input(error.into());
+        let deeds = self.replay_input.as_deref().map(script::load).transpose().map_err(input)?;
+        let recorder = self.record_input.as_deref().map(script::Recorder::create).transpose().map_err(input)?;
+        Ok((deeds, recorder))
     }
 
     pub(super) fn window(&self) -> WindowOptions {

@@ -30,11 +30,33 @@ const SHORTEST_ARROW: i32 = 8;
 const LONGEST_ARROW: i32 = 30;
 /// Pixels of each stroke of an arrow's head.
 const ARROW_HEAD: i32 = 3;
+/// Column in which [`CONTROLS`] say what something does.
+const DOES_AT: i32 = 16;
 
 const PAPER: Colour = [0, 0, 0, 170];
 const INK: Colour = [235, 235, 235, 255];
 const FAINT: Colour = [170, 170, 170, 255];
 const WARNING: Colour = [255, 120, 90, 255];
+
+/// What mouse and keys do in a window.
+pub const CONTROLS: [(&str, &str); 16] = [
+    ("drag", "look, move an object"),
+    ("let go moving", "throw it"),
+    ("shift drag", "lift it"),
+    ("right drag, Q E", "turn it"),
+    ("wheel", "scale it, or zoom"),
+    ("G", "stand it on ground"),
+    ("Del", "remove it"),
+    ("Tab, 1-9", "take from library"),
+    ("click", "put it there"),
+    ("Q E, wheel", "turn, scale it first"),
+    ("Esc", "put it away, or leave"),
+    ("PgUp PgDn", "raise, lower eyes"),
+    ("R", "recentre"),
+    ("F1", "what a frame costs"),
+    ("F2", "this"),
+    ("F11", "full screen"),
+];
 
 /// What is told of a frame.
 pub struct Told<'a> {
@@ -50,6 +72,8 @@ pub struct Told<'a> {
     pub light: &'a FrameLight,
     /// Unit vector to the middle of the view.
     pub looking: Vec3,
+    /// What mouse and keys do is told instead.
+    pub controls: bool,
 }
 
 /// The overlay on the GPU.
@@ -167,6 +191,14 @@ fn pipeline(gpu: &Gpu, shader: &wgpu::ShaderModule, format: wgpu::TextureFormat)
 
 fn paint(canvas: &mut Canvas, told: &Told<'_>) {
     canvas.fill(PAPER);
+    if told.controls {
+        for (row, (what, does)) in (0..).zip(CONTROLS) {
+            let at = IVec2::new(MARGIN, MARGIN + row * CELL.y);
+            canvas.text(at, what, INK);
+            canvas.text(at + IVec2::X * DOES_AT * CELL.x, does, FAINT);
+        }
+        return;
+    }
     let map = IVec2::splat(MARGIN);
     paint_map(canvas, map, told);
     let mut at = map + IVec2::new(0, MAP.y + MARGIN);
@@ -250,7 +282,7 @@ mod tests {
     }
 
     fn told<'a>(drawn: &'a Drawn, light: &'a FrameLight) -> Told<'a> {
-        Told { drawn, before: None, cost_ms: 12.34, budget_ms: Some(11.1), light, looking: Vec3::NEG_Z }
+        Told { drawn, before: None, cost_ms: 12.34, budget_ms: Some(11.1), light, looking: Vec3::NEG_Z, controls: false }
     }
 
     #[test]
@@ -289,6 +321,15 @@ mod tests {
         assert_eq!((with_ages[3].0.as_str(), with_ages[4].0.as_str()), ("age ms: light 93  video 96", "pose to photon 22 ms  missed 3"));
         let longest = texts.iter().map(|line| line.len()).max().unwrap() as i32;
         assert!(longest * CELL.x <= SIZE.x - 2 * MARGIN);
+    }
+
+    #[test]
+    fn what_mouse_and_keys_do_fits_the_picture() {
+        for (what, does) in CONTROLS {
+            assert!((what.len() as i32) < DOES_AT, "{what}");
+            assert!((DOES_AT + does.len() as i32) * CELL.x <= SIZE.x - 2 * MARGIN, "{does}");
+        }
+        assert!(CONTROLS.len() as i32 * CELL.y <= SIZE.y - 2 * MARGIN);
     }
 
     #[test]

@@ -25,7 +25,7 @@ pub(super) fn touched(camera: &Camera, size: (u32, u32), stage: &Stage, ground: 
         max: Vec3::new(bounds.max.x, stage.ground_y, bounds.max.z),
     });
     let (mut low, mut high) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2]);
-    for bounds in stage.casters.iter().chain(&stage.place.bounds).copied().chain(ground) {
+    for bounds in stage.casters.iter().chain(&stage.apart).chain(&stage.place.bounds).copied().chain(ground) {
         let Some(seen) = box_in_ndc(&clip_from_world, &bounds) else { continue };
         for axis in 0..2 {
             low[axis] = low[axis].min(seen.min[axis]);

@@ -20,6 +20,7 @@ mod glass;
 #[cfg(test)]
 mod glass_tests;
 mod layering;
+mod local;
 mod material;
 #[cfg(test)]
 mod material_tests;
@@ -27,6 +28,9 @@ mod mirror;
 #[cfg(test)]
 mod mirror_tests;
 mod models;
+mod moving;
+#[cfg(test)]
+mod moving_tests;
 pub mod parallax;
 #[cfg(test)]
 mod parallax_tests;
@@ -66,9 +70,10 @@ use crate::governor::Tier;
 use crate::gpu::{Gpu, GpuError};
 use crate::scene::mesh::Bounds;
 use crate::scene::model::LoadedModel;
-use crate::scene::pick::{Ray, nearest};
+use crate::scene::pick::{Ray, Target, nearest, nearest_to};
 use crate::stats::PassTime;
 
+pub use local::{MAX_LOCAL, local_id};
 pub use parallax::Parallax;
 pub use pipelines::DEPTH_FORMAT;
 pub use plan::Plan;
@@ -315,6 +320,18 @@ impl Renderer {
     #[must_use]
     pub fn pick(&self, ray: &Ray) -> Option<(ObjectId, Vec3)> {
         nearest(ray, self.stage.targets.iter().copied().filter(|_| self.visible))
+    }
+
+    /// The object nearest to a point, within `reach_m` of it.
+    #[must_use]
+    pub fn near(&self, point: Vec3, reach_m: f32) -> Option<ObjectId> {
+        Some(nearest_to(point, reach_m, self.stage.targets.iter().copied().filter(|_| self.visible))?.0)
+    }
+
+    /// An object as it is drawn: its place, and its bounds in its own frame.
+    #[must_use]
+    pub fn target(&self, id: ObjectId) -> Option<&Target> {
+        self.stage.targets.iter().find(|target| target.id == id)
     }
 
     /// Records one frame: shadow maps and reflections once, then each view. At most [`MAX_VIEWS`] are drawn.

@@ -73,6 +73,7 @@ impl Stage {
                 double_sided: true,
                 center: Vec3::ZERO,
                 surface: Surface::Rough,
+                casts: mesh.casts_shadows,
             };
             self.place.draws.push((draw, mesh.casts_shadows));
             self.place.triangles += u64::from(one.index_count / 3);

@@ -1,3 +1,5 @@
+//! Scene files as written, and every fault named.
+
 use super::*;
 
 fn parse(text: &str) -> Result<SceneFile, SceneFileError> {
@@ -129,6 +131,51 @@ fn what_mirrors_reads_as_written() {
     let scene = file.unwrap().resolve(|_| Ok::<_, String>(AssetId::of(b"a"))).unwrap();
     assert_eq!(scene.ground, Gloss { roughness: 0.25, reflectance: Gloss::DIELECTRIC });
     assert_eq!(scene.place[0].gloss, Gloss { roughness: 0.5, reflectance: 0.1 });
+}
+
+#[test]
+fn physics_is_dynamic_unless_the_file_says_otherwise() {
+    let file = parse(
+        "ground_y = 0.0\n[[object]]\nshape = \"cube\"\n[[object]]\nshape = \"cube\"\nphysics = \"fixed\"\n\
+         [[library]]\nname = \"a\"\nshape = \"cube\"\nphysics = \"dynamic\"\n[[library]]\nname = \"b\"\nshape = \"cube\"\nphysics = \"fixed\"",
+    );
+    let file = file.unwrap();
+    assert_eq!(file.fixed_objects(), BTreeSet::from([ObjectId(2)]));
+    assert_eq!(file.fixed_items(), BTreeSet::from([1]));
+}
+
+#[test]
+fn the_library_reads_as_written_and_its_faults_are_named() {
+    let asset = |path: &Path| Ok::<_, String>(AssetId::of(path.as_os_str().as_encoded_bytes()));
+    let library = |text: &str| parse(&format!("ground_y = 0.0\n{text}")).unwrap().resolve(asset).unwrap().library;
+    assert_eq!(library(""), LibraryItem::shapes());
+    assert_eq!(library("library = []"), []);
+    let [chair, ball] = &library(
+        "[[library]]\nname = \"chair\"\nmodel = \"chair.glb\"\nscale = 0.5\n[[library]]\nname = \"ball\"\nshape = \"sphere\"\nmaterial = { roughness = 0.25 }",
+    )[..] else {
+        panic!("two items");
+    };
+    assert_eq!(
+        (chair.name.as_str(), chair.geometry, chair.scale),
+        ("chair", Geometry::Model(asset(Path::new("stage/chair.glb")).unwrap()), Vec3::splat(0.5))
+    );
+    assert_eq!((chair.material, ball.material.unwrap().roughness), (None, 0.25));
+    let item = "ground_y = 0.0\n[[library]]\nshape = \"cube\"\n";
+    for (text, names) in [
+        (item.to_owned(), "name"),
+        (format!("{item}name = \"\""), "name"),
+        (format!("{item}name = \"a\"\nmodel = \"a.glb\""), "both shape and model"),
+        (format!("{item}name = \"a\"\nscale = -1.0"), "scale"),
+        (format!("{item}name = \"a\"\nphysics = \"soft\""), "soft"),
+        (format!("{item}name = \"a\"\nposition = [0.0, 0.0, 0.0]"), "position"),
+        (format!("ground_y = 0.0\n{}", "[[library]]\nname = \"a\"\nshape = \"cube\"\n".repeat(65)), "65 items"),
+    ] {
+        let error = parse(&text).unwrap_err().to_string();
+        assert!(error.contains(names) && error.contains("stage/SCENE.toml"), "{text:?} gave {error}");
+    }
+    let file = parse("ground_y = 0.0\n[[library]]\nname = \"chair\"\nmodel = \"chair.glb\"").unwrap();
+    let error = file.resolve(|_| Err::<AssetId, _>("no such file")).unwrap_err().to_string();
+    assert!(error.contains("library 1") && error.contains("stage/chair.glb"), "{error}");
 }
 
 #[test]

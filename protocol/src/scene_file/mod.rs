@@ -10,23 +10,32 @@
 //! scale = 1.0                     # or [x, y, z]
 //! material = { base_color = [0.8, 0.8, 0.8], roughness = 0.3, metallic = 0.0, kind = "opaque" }
 //! animation = "Walk"              # of models alone: one of the file's, or "none"; without it the file's first
+//! physics = "dynamic"             # falls once somebody or something has touched it; or "fixed": stays where it is put
 //! [[place]]
 //! model = "room.glb"              # of the real place: catches shadows and hides what is behind it
 //! casts_shadows = true            # false for what holds the lights, or lies beyond them
 //! gloss = { roughness = 0.2 }     # as the ground's
+//! [[library]]                     # what users may add; without any, one of each shape
+//! name = "chair"                  # shape or model, scale, material and physics as for objects
+//! model = "chair.glb"
 //! ```
 
-use std::collections::HashMap;
+mod file;
+#[cfg(test)]
+mod tests;
+
+use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 
 use glam::{EulerRot, Quat, Vec3};
-use serde::Deserialize;
 
 use crate::asset::{AssetId, MAX_ASSETS};
 use crate::codec::{WireError, ensure_in_range};
 use crate::scene::{
-    Geometry, Gloss, MAX_OBJECTS, MAX_PLACE_MESHES, Material, MaterialKind, Object, ObjectId, PlaceMesh, Playback, Scene, Shape, Transform,
+    Geometry, Gloss, LibraryItem, MAX_LIBRARY, MAX_OBJECTS, MAX_PLACE_MESHES, Material, Object, ObjectId, PlaceMesh, Playback, Scene,
+    Shape, Transform,
 };
+use file::{FileItem, FileMaterial, FileObject, FilePhysics, FilePlaceMesh, FileScale, FileScene};
 
 /// What a scene file calls a model that stays at rest.
 pub const NO_ANIMATION: &str = "none";
@@ -73,6 +82,16 @@ pub enum SceneFileError {
         /// Field, fault and remedy.
         fault: String,
     },
+    /// An item of the library that cannot be.
+    #[error("scene {path}: library {index}: {fault}")]
+    Library {
+        /// The file.
+        path: PathBuf,
+        /// Counted from 1 in the order of the file.
+        index: usize,
+        /// Field, fault and remedy.
+        fault: String,
+    },
     /// The whole is out of bounds.
     #[error("scene {path}: {fault}")]
     Scene {
@@ -83,107 +102,6 @@ pub enum SceneFileError {
     },
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct FileScene {
-    ground_y: f32,
-    ground: Option<FileGloss>,
-    #[serde(default, rename = "object")]
-    objects: Vec<FileObject>,
-    #[serde(default)]
-    place: Vec<FilePlaceMesh>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct FilePlaceMesh {
-    model: PathBuf,
-    #[serde(default)]
-    position: [f32; 3],
-    #[serde(default)]
-    rotation_deg: [f32; 3],
-    #[serde(default)]
-    scale: FileScale,
-    #[serde(default = "yes")]
-    casts_shadows: bool,
-    gloss: Option<FileGloss>,
-}
-
-#[derive(Clone, Copy, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct FileGloss {
-    roughness: f32,
-    #[serde(default = "dielectric")]
-    reflectance: f32,
-}
-
-fn dielectric() -> f32 {
-    Gloss::DIELECTRIC
-}
-
-impl From<FileGloss> for Gloss {
-    fn from(file: FileGloss) -> Self {
-        Self { roughness: file.roughness, reflectance: file.reflectance }
-    }
-}
-
-fn yes() -> bool {
-    true
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct FileObject {
-    shape: Option<Shape>,
-    model: Option<PathBuf>,
-    #[serde(default)]
-    position: [f32; 3],
-    #[serde(default)]
-    rotation_deg: [f32; 3],
-    #[serde(default)]
-    scale: FileScale,
-    material: Option<FileMaterial>,
-    animation: Option<String>,
-}
-
-#[derive(Clone, Copy, Deserialize)]
-#[serde(untagged, expecting = "scale is a number or three numbers")]
-enum FileScale {
-    Uniform(f32),
-    Axes([f32; 3]),
-}
-
-impl Default for FileScale {
-    fn default() -> Self {
-        Self::Uniform(1.0)
-    }
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields, default)]
-struct FileMaterial {
-    base_color: [f32; 3],
-    roughness: Option<f32>,
-    metallic: f32,
-    kind: MaterialKind,
-}
-
-impl Default for FileMaterial {
-    fn default() -> Self {
-        let Material { base_color, metallic, kind, .. } = Material::default();
-        Self { base_color, roughness: None, metallic, kind }
-    }
-}
-
-impl From<FileMaterial> for Material {
-    /// Glass is clear unless the file says otherwise; all else is matt.
-    fn from(file: FileMaterial) -> Self {
-        let FileMaterial { base_color, roughness, metallic, kind } = file;
-        let unsaid = if kind == MaterialKind::Glass { 0.0 } else { Self::default().roughness };
-        Self { base_color, roughness: roughness.unwrap_or(unsaid), metallic, kind }
-    }
-}
-
 /// A scene whose models are still files.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SceneFile {
@@ -192,6 +110,7 @@ pub struct SceneFile {
     ground: Gloss,
     objects: Vec<Checked>,
     place: Vec<CheckedPlace>,
+    library: Option<Vec<CheckedItem>>,
 }
 
 /// A mesh of the place that is within bounds.
@@ -210,6 +129,17 @@ struct Checked {
     transform: Transform,
     material: Option<Material>,
     animation: Playback,
+    fixed: bool,
+}
+
+/// An item of the library that is within bounds.
+#[derive(Debug, Clone, PartialEq)]
+struct CheckedItem {
+    name: String,
+    geometry: FileGeometry,
+    scale: Vec3,
+    material: Option<Material>,
+    fixed: bool,
 }
 
 #[derive(Debug, Clone, PartialEq)]
@@ -252,21 +182,29 @@ impl SceneFile {
                 fault: format!("{} place meshes, at most {MAX_PLACE_MESHES}; join some in one model", file.place.len()),
             });
         }
+        if let Some(items) = file.library.as_ref().map(Vec::len).filter(|items| *items > MAX_LIBRARY) {
+            return Err(SceneFileError::Scene {
+                path: path.to_owned(),
+                fault: format!("{items} items of the library, at most {MAX_LIBRARY}"),
+            });
+        }
         let folder = path.parent().unwrap_or(Path::new(""));
-        let objects = file
-            .objects
-            .into_iter()
-            .enumerate()
-            .map(|(at, object)| {
-                check(object, folder).map_err(|fault| SceneFileError::Object { path: path.to_owned(), index: at + 1, fault })
-            })
+        let objects = (1..)
+            .zip(file.objects)
+            .map(|(index, object)| check(object, folder).map_err(|fault| SceneFileError::Object { path: path.to_owned(), index, fault }))
             .collect::<Result<Vec<_>, _>>()?;
+        let check_items = |items| {
+            (1..).zip(items).map(|(index, item)| {
+                check_item(item, folder).map_err(|fault| SceneFileError::Library { path: path.to_owned(), index, fault })
+            })
+        };
+        let library = file.library.map(|items| check_items(items).collect::<Result<Vec<_>, _>>()).transpose()?;
         let place = (1..).zip(file.place).map(|(index, mesh)| -> Result<_, SceneFileError> {
             check_place(mesh, folder).map_err(|fault| SceneFileError::Place { path: path.to_owned(), index, fault })
         });
         let place = place.collect::<Result<Vec<_>, _>>()?;
         let ground = file.ground.map(Gloss::from).unwrap_or_default();
-        let scene = Self { path: path.to_owned(), ground_y: file.ground_y, ground, objects, place };
+        let scene = Self { path: path.to_owned(), ground_y: file.ground_y, ground, objects, place, library };
         let bounds = Scene { ground_y: scene.ground_y, ground, ..Scene::default() }.validate("scene file");
         bounds.map_err(|error| SceneFileError::Scene { path: path.to_owned(), fault: fault(&error) })?;
         if scene.models().len() > MAX_ASSETS {
@@ -281,10 +219,10 @@ impl SceneFile {
     /// The model files it names, each once.
     #[must_use]
     pub fn models(&self) -> Vec<&Path> {
-        let mut models: Vec<&Path> = self
-            .objects
-            .iter()
-            .filter_map(|object| match &object.geometry {
+        let items = self.library.iter().flatten();
+        let mut models: Vec<&Path> = (self.objects.iter().map(|object| &object.geometry))
+            .chain(items.map(|item| &item.geometry))
+            .filter_map(|geometry| match geometry {
                 FileGeometry::Model(path) => Some(path.as_path()),
                 FileGeometry::Shape(_) => None,
             })
@@ -293,6 +231,18 @@ impl SceneFile {
         models.sort_unstable();
         models.dedup();
         models
+    }
+
+    /// The objects that stay where they are put, as [`SceneFile::resolve`] names them.
+    #[must_use]
+    pub fn fixed_objects(&self) -> BTreeSet<ObjectId> {
+        (1..).zip(&self.objects).filter(|(_, object)| object.fixed).map(|(id, _)| ObjectId(id)).collect()
+    }
+
+    /// The items of the library that stay where they are put, by index.
+    #[must_use]
+    pub fn fixed_items(&self) -> BTreeSet<u16> {
+        (0..).zip(self.library.iter().flatten()).filter(|(_, item)| item.fixed).map(|(index, _)| index).collect()
     }
 
     /// The scene, with each model file replaced by the asset that `asset_of` makes of it; asked once for each file.
@@ -315,14 +265,11 @@ impl SceneFile {
         };
         let mut scene = Scene { ground_y: self.ground_y, ground: self.ground, ..Scene::default() };
         for (id, object) in (1..).zip(&self.objects) {
-            let geometry = match &object.geometry {
-                FileGeometry::Shape(shape) => Geometry::Shape(*shape),
-                FileGeometry::Model(model) => Geometry::Model(asset_once(model).map_err(|fault| SceneFileError::Object {
-                    path: self.path.clone(),
-                    index: id as usize,
-                    fault,
-                })?),
-            };
+            let geometry = object.geometry.resolve(&mut asset_once).map_err(|fault| SceneFileError::Object {
+                path: self.path.clone(),
+                index: id as usize,
+                fault,
+            })?;
             let Checked { transform, material, animation, .. } = object.clone();
             scene.objects.push(Object { id: ObjectId(id), geometry, transform, material, animation });
         }
@@ -331,7 +278,41 @@ impl SceneFile {
             let model = asset_once(&mesh.model).map_err(|fault| SceneFileError::Place { path: self.path.clone(), index, fault })?;
             scene.place.push(PlaceMesh { model, transform, casts_shadows, gloss });
         }
+        if let Some(items) = &self.library {
+            let resolved = (1..).zip(items).map(|(index, item)| -> Result<_, SceneFileError> {
+                let fault = |fault| SceneFileError::Library { path: self.path.clone(), index, fault };
+                let geometry = item.geometry.resolve(&mut asset_once).map_err(fault)?;
+                Ok(LibraryItem { name: item.name.clone(), geometry, scale: item.scale, material: item.material })
+            });
+            scene.library = resolved.collect::<Result<_, _>>()?;
+        }
         Ok(scene)
+    }
+}
+
+impl FileGeometry {
+    fn new(shape: Option<Shape>, model: Option<PathBuf>, folder: &Path) -> Result<Self, String> {
+        match (shape, model) {
+            (Some(shape), None) => Ok(Self::Shape(shape)),
+            (None, Some(model)) => Ok(Self::Model(folder.join(model))),
+            (None, None) => Err("neither shape nor model; give one".to_owned()),
+            (Some(_), Some(_)) => Err("both shape and model; give one".to_owned()),
+        }
+    }
+
+    /// Shapes without a material are matt, models keep that of their file.
+    fn material(&self, material: Option<FileMaterial>) -> Option<Material> {
+        material.map(Material::from).or(match self {
+            Self::Shape(_) => Some(Material::default()),
+            Self::Model(_) => None,
+        })
+    }
+
+    fn resolve<'a>(&'a self, mut asset: impl FnMut(&'a Path) -> Result<AssetId, String>) -> Result<Geometry, String> {
+        match self {
+            Self::Shape(shape) => Ok(Geometry::Shape(*shape)),
+            Self::Model(model) => asset(model).map(Geometry::Model),
+        }
     }
 }
 
@@ -343,17 +324,9 @@ fn check_place(mesh: FilePlaceMesh, folder: &Path) -> Result<CheckedPlace, Strin
 }
 
 fn check(object: FileObject, folder: &Path) -> Result<Checked, String> {
-    let geometry = match (object.shape, object.model) {
-        (Some(shape), None) => FileGeometry::Shape(shape),
-        (None, Some(model)) => FileGeometry::Model(folder.join(model)),
-        (None, None) => return Err("neither shape nor model; give one".to_owned()),
-        (Some(_), Some(_)) => return Err("both shape and model; give one".to_owned()),
-    };
+    let geometry = FileGeometry::new(object.shape, object.model, folder)?;
     let transform = transform(object.position, object.rotation_deg, object.scale)?;
-    let material = object.material.map(Material::from).or(match geometry {
-        FileGeometry::Shape(_) => Some(Material::default()),
-        FileGeometry::Model(_) => None,
-    });
+    let material = geometry.material(object.material);
     let animation = match object.animation {
         Some(_) if matches!(geometry, FileGeometry::Shape(_)) => return Err("animation: shapes have none; leave it out".to_owned()),
         Some(name) if name == NO_ANIMATION => Playback::Still,
@@ -363,7 +336,15 @@ fn check(object: FileObject, folder: &Path) -> Result<Checked, String> {
     let shape = Geometry::Shape(Shape::Cube);
     let probe = Object { id: ObjectId(0), geometry: shape, transform, material, animation: animation.clone() };
     probe.validate("scene file").map_err(|error| fault(&error))?;
-    Ok(Checked { geometry, transform, material, animation })
+    Ok(Checked { geometry, transform, material, animation, fixed: object.physics == FilePhysics::Fixed })
+}
+
+fn check_item(item: FileItem, folder: &Path) -> Result<CheckedItem, String> {
+    let geometry = FileGeometry::new(item.shape, item.model, folder)?;
+    let (scale, material) = (item.scale.into(), geometry.material(item.material));
+    let probe = LibraryItem { name: item.name.clone(), geometry: Geometry::Shape(Shape::Cube), scale, material };
+    probe.validate("scene file").map_err(|error| fault(&error))?;
+    Ok(CheckedItem { name: item.name, geometry, scale, material, fixed: item.physics == FilePhysics::Fixed })
 }
 
 fn transform(position: [f32; 3], rotation_deg: [f32; 3], scale: FileScale) -> Result<Transform, String> {
@@ -372,14 +353,8 @@ fn transform(position: [f32; 3], rotation_deg: [f32; 3], scale: FileScale) -> Re
         format!("{rotation_deg:?} is not finite")
     })
     .map_err(|e| fault(&e))?;
-    let transform = Transform {
-        position: Vec3::from_array(position),
-        rotation: Quat::from_euler(EulerRot::YXZ, y, x, z),
-        scale: match scale {
-            FileScale::Uniform(scale) => Vec3::splat(scale),
-            FileScale::Axes(scale) => Vec3::from_array(scale),
-        },
-    };
+    let rotation = Quat::from_euler(EulerRot::YXZ, y, x, z);
+    let transform = Transform { position: Vec3::from_array(position), rotation, scale: scale.into() };
     transform.validate("scene file").map_err(|error| fault(&error))?;
     Ok(transform)
 }
@@ -391,6 +366,3 @@ fn fault(error: &WireError) -> String {
         other => other.to_string(),
     }
 }
-
-#[cfg(test)]
-mod tests;
