@@ -589,7 +589,7 @@ mod tests {
         let [Action::Put { item: 1, transform }] = actions[..] else { panic!("{actions:?}") };
         assert!((transform.scale.x - 0.3 * ZOOM).abs() < 1e-5);
         // On the cube's upper side.
-        stand.to(Vec2::new(400.0, 222.0));
+        stand.to(Vec2::new(400.0, 235.0));
         let on_cube = stand.controls.drawn(&stand.world).remove(0).transform.position;
         assert!((on_cube.y - (-0.6 + 0.15 * ZOOM)).abs() < 3e-3, "{on_cube}");
         assert!(stand.controls.close_palette() && !stand.controls.close_palette());
