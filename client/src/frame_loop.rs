@@ -73,7 +73,8 @@ pub struct Shot {
 /// What presenting a frame came to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Presented {
-    /// How often this thread stood still for the GPU between the first look at the frame's camera and the end of presenting.
+    /// How often this thread stood still for the GPU, or for pictures that are still shown, within the frame. What a headset's runtime does in
+    /// its own calls is not seen from here.
     pub gpu_waits: u64,
     /// Of a headset.
     pub headset: Option<HeadsetTimes>,
@@ -82,8 +83,8 @@ pub struct Presented {
 /// What only a headset's frames have.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct HeadsetTimes {
-    /// From reading the pose that the frame was drawn for to when the runtime predicts its light to leave the display, microseconds; `None`
-    /// where the runtime's clock cannot be read.
+    /// From reading the pose that the frame was drawn for to when the runtime predicts its light to leave the display, microseconds, 0 when
+    /// that was over; `None` where the runtime's clock cannot be read.
     pub pose_to_photon_us: Option<u64>,
     /// From the runtime's call for the frame to handing it over, microseconds: whatever is waited for within a frame is in it.
     pub frame_us: u64,

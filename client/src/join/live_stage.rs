@@ -10,7 +10,6 @@ use mr360_protocol::light::LightFrame;
 use mr360_protocol::scene::{Geometry, LibraryItem, Object, ObjectId, Playback, Scene, Shape, Transform};
 
 use super::shared_scene::{SharedScene, Shown};
-use crate::camera::Camera;
 use crate::environment::Environment;
 use crate::frame_loop::{BoxError, Drawn, FrameError, Shot, Stage};
 use crate::governor::Governor;
@@ -326,6 +325,7 @@ mod tests {
     use mr360_protocol::video::{StereoLayout, Transfer};
 
     use super::*;
+    use crate::camera::Camera;
     use crate::governor::Tier;
     use crate::picture::{Picture, Samples};
     use crate::sync::ReceivedLight;
@@ -357,7 +357,8 @@ mod tests {
         for lit in [true, false, true] {
             stage.update(paired(lit)).unwrap();
             stage.draw(&[Shot { camera, target: offscreen.target() }]).unwrap();
-            seen.push((stage.shown, stage.pick(&camera, Vec2::ZERO, 1.0)));
+            let ray = Ray { origin: camera.position, direction: camera.ray(Vec2::ZERO, 1.0) };
+            seen.push((stage.shown.as_ref().map(|shown| shown.version), stage.pick(&ray).map(|(id, _)| id)));
         }
         assert_eq!(seen, [(Some(1), Some(ObjectId(1))), (Some(1), None), (Some(1), Some(ObjectId(1)))]);
     }

@@ -3,7 +3,7 @@
 use glam::{Vec2, Vec3};
 use mr360_protocol::scene::{Material, MaterialKind, Shape};
 
-use super::tests::{SIZE, ball, diffuse, draw, gradient, mirror, object, panorama, scene, sun};
+use super::tests::{SIZE, diffuse, draw, gradient, mirror, object, panorama, scene, sun};
 use super::{DEPTH_FORMAT, Renderer, View};
 use crate::camera::{Camera, Edges, FieldOfView};
 use crate::environment::Environment;
@@ -49,8 +49,8 @@ fn a_lopsided_view_is_a_part_of_a_wider_one() {
     }
     off.sort_by(f32::total_cmp);
     let (median, most) = (off[off.len() / 2], off[off.len() * 97 / 100]);
-    // Outlines are averaged over other samples, and footprints are half as wide.
-    assert!(median < 1e-3 && most < 0.03, "median {median}, 97 % {most}");
+    // Outlines are averaged over other samples, and footprints are half as wide: the glass ball's above all.
+    assert!(median < 1e-3 && most < 0.06, "median {median}, 97 % {most}");
 }
 
 #[test]
@@ -106,16 +106,14 @@ fn the_eyes_differ_by_the_parallax_of_their_distance() {
     let gpu = Gpu::headless().unwrap();
     let picture = panorama(64, 32, |_| Vec3::splat(0.1));
     let light = ambient_light(&picture);
-    let scene = ball(diffuse(1.0));
-    let edges = Edges { left: -0.5, right: 0.5, down: -0.6, up: 0.1 };
+    // Dark, and high above the ground that it shades.
+    let scene = scene(vec![object(1, Shape::Sphere, Vec3::new(0.0, -0.2, -3.5), 1.0, diffuse(0.1))]);
+    let edges = Edges { left: -0.5, right: 0.5, down: -0.4, up: 0.3 };
     let centre = |x: f32| {
         let camera = Camera { position: Vec3::X * x, fov: FieldOfView::Edges(edges), ..Camera::looking(0.0, 0.0, 1.0) };
-        let bright: Vec<f32> = draw(&gpu, &picture, &light, &scene, &camera).iter().map(|colour| (colour.x - 0.1).abs()).collect();
-        let rows = 0..SIZE.1 * 3 / 4;
-        let sum = |weight: &dyn Fn(u32) -> f32| -> f32 {
-            rows.clone().flat_map(|y| (0..SIZE.0).map(move |x| (x, y))).map(|(x, y)| bright[(y * SIZE.0 + x) as usize] * weight(x)).sum()
-        };
-        sum(&|x| x as f32 + 0.5) / sum(&|_| 1.0)
+        let drawn = draw(&gpu, &picture, &light, &scene, &camera);
+        let columns: Vec<f32> = (0..).zip(&drawn).filter(|(_, colour)| colour.x < 0.05).map(|(at, _)| (at % SIZE.0) as f32 + 0.5).collect();
+        columns.iter().sum::<f32>() / columns.len() as f32
     };
     // 3.5 m ahead, pixels so many to a unit of tangent: each eye sees it shifted by half the distance of the eyes.
     let shift = centre(-0.1) - centre(0.1);

@@ -71,6 +71,8 @@ pub(super) struct Controllers {
     sides: [Side; 2],
     actions: Actions,
     set: xr::ActionSet,
+    /// Profiles that were said to be in use.
+    in_use: [Option<String>; 2],
 }
 
 struct Actions {
@@ -118,7 +120,7 @@ impl Controllers {
                 aim: actions.aim.create_space(session, path, xr::Posef::IDENTITY).map_err(failed)?,
             })
         };
-        Ok(Self { sides: [side(paths[0])?, side(paths[1])?], actions, set })
+        Ok(Self { sides: [side(paths[0])?, side(paths[1])?], actions, set, in_use: [None, None] })
     }
 
     /// How both hands are at a time of the display.
@@ -166,12 +168,15 @@ impl Controllers {
         Ok(())
     }
 
-    /// Says which controllers are in use.
-    pub(super) fn log_in_use(&self, runtime: &Runtime, session: &xr::Session<xr::Vulkan>) {
-        for (name, side) in ["left", "right"].into_iter().zip(&self.sides) {
+    /// Says which controllers are in use, when that has changed.
+    pub(super) fn log_in_use(&mut self, runtime: &Runtime, session: &xr::Session<xr::Vulkan>) {
+        for ((name, side), in_use) in ["left", "right"].into_iter().zip(&self.sides).zip(&mut self.in_use) {
             let profile = session.current_interaction_profile(side.path).ok().filter(|profile| *profile != xr::Path::NULL);
             let profile = profile.and_then(|profile| runtime.instance.path_to_string(profile).ok());
-            tracing::info!(hand = name, controller = profile.as_deref().unwrap_or("none"), "controller");
+            if *in_use != profile {
+                tracing::info!(hand = name, controller = profile.as_deref().unwrap_or("none"), "controller");
+                *in_use = profile;
+            }
         }
     }
 }

@@ -33,7 +33,7 @@ use crate::gpu::Gpu;
 use crate::hands::{HandsInput, Haptic};
 
 /// From one look for a headset to the next.
-const RETRY: Duration = Duration::from_secs(1);
+const RETRY: Duration = Duration::from_secs(2);
 /// From one question to a session that wants no frames to the next.
 const LISTEN: Duration = Duration::from_millis(10);
 /// Sessions in a row that were lost before they showed anything, after which the headset is given up.

@@ -6,7 +6,7 @@ use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use mr360_protocol::failure::{self, Failure};
-use mr360_tests::{figures, lighting, network, render};
+use mr360_tests::{figures, headset, lighting, network, render};
 
 /// The demo's scene.
 const SCENE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../deploy/demo-scene/SCENE.toml");
@@ -27,6 +27,8 @@ enum Bench {
     Render(Render),
     /// One server and N headless viewers: age of light and video, the server's CPU and memory, bytes per track.
     Network(Network),
+    /// A headset's frames while datagrams are lost, the server stands still or frames are large; what a headset of today would need.
+    Headset(Headset),
     /// Every bench, with its defaults.
     All {
         /// Folder for the results; made where it is missing.
@@ -185,12 +187,32 @@ struct Network {
     size: String,
 }
 
+#[derive(Args)]
+struct Headset {
+    /// Folder for the results; made where it is missing.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Frames of each run.
+    #[arg(long, default_value_t = 300, value_name = "N", value_parser = clap::value_parser!(u32).range(61..=100_000))]
+    frames: u32,
+    /// What the server broadcasts.
+    #[arg(long, default_value = "synthetic:testcard?size=1280x640", value_name = "URL|FILE|synthetic:NAME")]
+    source: String,
+    /// What it broadcasts where the decoder is fed large frames.
+    #[arg(long, default_value = "synthetic:testcard?size=4096x2048", value_name = "URL|FILE|synthetic:NAME")]
+    large: String,
+    /// What stands in it.
+    #[arg(long, default_value = SCENE, hide_default_value = true, value_name = "SCENE.toml")]
+    scene: PathBuf,
+}
+
 impl Bench {
     fn out(&self) -> &Path {
         match self {
             Self::Lighting(Lighting { out, .. })
             | Self::Render(Render { out, .. })
             | Self::Network(Network { out, .. })
+            | Self::Headset(Headset { out, .. })
             | Self::All { out } => out,
         }
     }
@@ -215,7 +237,10 @@ fn run(bench: Bench) -> anyhow::Result<()> {
         Bench::Network(Network { out, viewers, seconds, source, size }) => {
             network::run(&network::Options { viewers, seconds, source, size, out })
         }
-        Bench::All { out } => ["lighting", "render", "network"].iter().try_for_each(|name| run(with_defaults(name, &out)?)),
+        Bench::Headset(Headset { out, frames, source, large, scene }) => {
+            headset::run(&headset::Options { frames, source, large, scene, out })
+        }
+        Bench::All { out } => ["lighting", "render", "network", "headset"].iter().try_for_each(|name| run(with_defaults(name, &out)?)),
     }
 }
 
@@ -237,7 +262,7 @@ mod tests {
 
     #[test]
     fn every_bench_runs_with_its_defaults() {
-        for name in ["lighting", "render", "network"] {
+        for name in ["lighting", "render", "network", "headset"] {
             assert!(with_defaults(name, Path::new("results")).is_ok(), "{name}");
         }
         assert!(parse_size("3841x1920").is_err() && parse_size("3840").is_err());
