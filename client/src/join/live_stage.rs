@@ -349,7 +349,7 @@ mod tests {
         let gpu = Gpu::headless().unwrap();
         let (device, queue) = (gpu.device.clone(), gpu.queue.clone());
         let shared = SharedScene::new(ClientClock::start());
-        shared.apply(&snapshot(Geometry::Shape(mr360_protocol::scene::Shape::Sphere))).unwrap();
+        shared.apply(&snapshot(Geometry::Shape(Shape::Sphere))).unwrap();
         let mut stage = LiveStage::new(gpu, shared, Governor::fixed(Tier::FULL)).unwrap();
         let offscreen = crate::headless::Offscreen::new(&device, &queue, 8, 8);
         let camera = Camera { position: Vec3::Z * 3.0, ..Camera::looking(0.0, 0.0, 1.0) };
