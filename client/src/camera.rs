@@ -2,7 +2,7 @@
 
 use glam::{EulerRot, Mat4, Quat, Vec2, Vec3, Vec4};
 
-/// A perspective camera; −z forward, y up. The panorama stays at infinity: only its rotation matters to it.
+/// A perspective camera; −z forward, y up.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Camera {
     /// Metres; the camera that filmed the panorama stood at the origin.

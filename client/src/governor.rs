@@ -48,6 +48,8 @@ pub struct Limits {
     pub occlusion: bool,
     /// Samples a pixel of objects and ground.
     pub samples: u32,
+    /// Glossy ground and place mirror objects.
+    pub mirrors: bool,
 }
 
 impl Tier {
@@ -81,7 +83,8 @@ impl Tier {
             3 => (1, 4, false, 4),
             _ => (1, 4, false, 1),
         };
-        Limits { shadows, reflections_every, occlusion, samples }
+        // What stands on them is shaded from them in the same tiers.
+        Limits { shadows, reflections_every, occlusion, samples, mirrors: occlusion }
     }
 }
 

@@ -124,8 +124,10 @@ pub enum Module {
     Object,
     /// Virtual objects of glass, after all others.
     Glass,
-    /// Ground as shadow catcher.
+    /// Ground and place as catchers of shadows and reflections.
     Ground,
+    /// What the ground mirrors to its next level.
+    MirrorMip,
     /// Video and objects to the target.
     Composite,
     /// Depth of a whole view.
@@ -140,7 +142,7 @@ pub enum Module {
 
 impl Module {
     /// Every module.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 15] = [
         Self::EnvironmentLift,
         Self::EnvironmentMip,
         Self::EnvironmentPrefilter,
@@ -150,6 +152,7 @@ impl Module {
         Self::Object,
         Self::Glass,
         Self::Ground,
+        Self::MirrorMip,
         Self::Composite,
         Self::Depth,
         Self::Overlay,
@@ -170,6 +173,7 @@ impl Module {
             Self::Object => "object.wgsl",
             Self::Glass => "glass.wgsl",
             Self::Ground => "ground.wgsl",
+            Self::MirrorMip => "mirror_mip.wgsl",
             Self::Composite => "composite.wgsl",
             Self::Depth => "depth.wgsl",
             Self::Overlay => "overlay.wgsl",
@@ -203,6 +207,7 @@ macro_rules! files {
 }
 
 files![
+    "background.wgsl",
     "brdf.wgsl",
     "brdf_probe.wgsl",
     "caster.wgsl",
@@ -219,11 +224,14 @@ files![
     "frame.wgsl",
     "fullscreen.wgsl",
     "glass.wgsl",
+    "gloss.wgsl",
     "ground.wgsl",
     "material.wgsl",
+    "mirror_mip.wgsl",
     "object.wgsl",
     "occlusion.wgsl",
     "overlay.wgsl",
+    "parallax.wgsl",
     "probe.wgsl",
     "reflection.wgsl",
     "sh.wgsl",

@@ -165,7 +165,9 @@ fn both_eyes_see_what_geometry_and_the_headless_viewer_say() -> Result<()> {
     remote.set(&scripts[0])?;
     let (folder, csv) = (sandbox.path("eyes"), sandbox.path("xr.csv"));
     let frames = FRAMES.to_string();
-    let arguments = ["--mode", "xr", "--mute", "--frames", &frames, "--record-eyes", folder.to_str().context("path")?];
+    // The pattern is that of a panorama at infinity.
+    let arguments =
+        ["--mode", "xr", "--mute", "--parallax", "infinity", "--frames", &frames, "--record-eyes", folder.to_str().context("path")?];
     let mut viewer =
         runtime.join(&sandbox, "viewer", &server.join_url, &[&arguments[..], &["--stats", csv.to_str().context("path")?]].concat())?;
     viewer.wait_for_text("eyes kept", LONG)?;
@@ -272,8 +274,8 @@ fn meets_shade(camera: &Camera, direction: Vec3) -> bool {
 fn panorama_reaches_all_edges(camera: &Camera, picture: &RgbImage) -> Result<Vec<&'static str>> {
     ensure!(picture.dimensions() == EYE, "a picture of {:?}", picture.dimensions());
     let (width, height) = EYE;
-    let edges: [(&str, Vec<(u32, u32)>, Vec2); 4] = [
-        ("left", (0..3).flat_map(|x| (0..height).map(move |y| (x, y))).collect(), Vec2::X),
+    let edges = [
+        ("left", (0..3).flat_map(|x| (0..height).map(move |y| (x, y))).collect::<Vec<(u32, u32)>>(), Vec2::X),
         ("right", (width - 3..width).flat_map(|x| (0..height).map(move |y| (x, y))).collect(), Vec2::X),
         ("upper", (0..3).flat_map(|y| (0..width).map(move |x| (x, y))).collect(), Vec2::Y),
         ("lower", (height - 3..height).flat_map(|y| (0..width).map(move |x| (x, y))).collect(), Vec2::Y),
@@ -353,7 +355,8 @@ fn headless_draws_the_same(sandbox: &Sandbox, runtime: &XrRuntime, url: &str, ke
         let (view, png) = (sandbox.path("view.json"), sandbox.path("headless.png"));
         fs::write(&view, kept.value["views"][at].to_string())?;
         let size = format!("{}x{}", EYE.0, EYE.1);
-        let arguments = ["--mode", "headless", "--frames", "5", "--size", &size, "--view", view.to_str().context("path")?];
+        let view = view.to_str().context("path")?;
+        let arguments = ["--mode", "headless", "--parallax", "infinity", "--frames", "5", "--size", &size, "--view", view];
         // Through the same dynamic loader, and so with the same driver.
         let mut viewer =
             runtime.join(sandbox, "headless", url, &[&arguments[..], &["--snapshot", png.to_str().context("path")?]].concat())?;

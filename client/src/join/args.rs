@@ -10,7 +10,7 @@ use clap::{Args, ValueEnum};
 use mr360_protocol::join::JoinUrl;
 
 use crate::Failure;
-use crate::arguments::{parse_angle, parse_fov, parse_size};
+use crate::arguments::{parse_angle, parse_fov, parse_size, parse_tier};
 use crate::camera::Camera;
 use crate::decode::Hardware;
 use crate::frame_loop::Stage;
@@ -19,6 +19,7 @@ use crate::headless::{Files, HeadlessOptions, Pace};
 use crate::receive;
 use crate::record::{PictureFile, RecordError, Recorder};
 use crate::script::{self, Deed, ScriptError};
+use crate::view::Parallax;
 use crate::viewpoint::Viewpoint;
 use crate::window::WindowOptions;
 use crate::xr::{EyeRecorder, XrOptions};
@@ -86,8 +87,12 @@ pub struct JoinArgs {
     pub record_eyes: Option<PathBuf>,
     /// What to leave out of frames: 0 nothing, 4 all that can be, or auto, as much as keeps up with the display [default: 0 headless, else
     /// auto].
-    #[arg(long, value_name = "N", value_parser = parse_tier)]
+    #[arg(long, value_name = "N", value_parser = parse_tier_choice)]
     pub tier: Option<TierChoice>,
+    /// Distance of the background of mono video, for eyes beside the camera that filmed: infinity, ground (ground and place where they are,
+    /// all else on a dome of 50 m), or ground:RADIUS.
+    #[arg(long, default_value = "ground", value_name = "SETTING")]
+    pub parallax: Parallax,
     /// Show what a frame costs over the view, as F1 does in a window.
     #[arg(long)]
     pub overlay: bool,
@@ -133,6 +138,7 @@ pub(super) struct Settings {
     duration: Option<Duration>,
     pace: Pace,
     overlay: bool,
+    pub(super) parallax: Parallax,
     tier: Option<TierChoice>,
     mute: bool,
     record_input: Option<PathBuf>,
@@ -177,6 +183,7 @@ impl JoinArgs {
             duration: self.duration,
             pace: self.fps.map_or(Pace::Video, Pace::Fixed),
             overlay: self.overlay,
+            parallax: self.parallax,
             tier: self.tier,
             mute: self.mute,
             record_input: self.record_input,
@@ -275,10 +282,8 @@ fn parse_seconds(text: &str) -> Result<Duration, String> {
     seconds.filter(|seconds| !seconds.is_zero()).ok_or_else(|| "a duration is a number of seconds above 0".to_owned())
 }
 
-fn parse_tier(text: &str) -> Result<TierChoice, String> {
-    let number = text.parse().ok().and_then(Tier::new).map(TierChoice::Fixed);
-    let choice = if text == "auto" { Some(TierChoice::Auto) } else { number };
-    choice.ok_or_else(|| format!("a tier is auto or a number from 0 to {}", Tier::LOWEST.number()))
+fn parse_tier_choice(text: &str) -> Result<TierChoice, String> {
+    if text == "auto" { Ok(TierChoice::Auto) } else { parse_tier(text).map(TierChoice::Fixed).map_err(|fault| format!("{fault}, or auto")) }
 }
 
 fn parse_fps(text: &str) -> Result<f64, String> {
@@ -291,11 +296,11 @@ mod tests {
 
     #[test]
     fn a_tier_is_auto_or_a_number_and_nothing_else() {
-        assert_eq!(parse_tier("auto"), Ok(TierChoice::Auto));
-        assert_eq!(parse_tier("0"), Ok(TierChoice::Fixed(Tier::FULL)));
-        assert_eq!(parse_tier("4"), Ok(TierChoice::Fixed(Tier::LOWEST)));
+        assert_eq!(parse_tier_choice("auto"), Ok(TierChoice::Auto));
+        assert_eq!(parse_tier_choice("0"), Ok(TierChoice::Fixed(Tier::FULL)));
+        assert_eq!(parse_tier_choice("4"), Ok(TierChoice::Fixed(Tier::LOWEST)));
         for wrong in ["5", "-1", "", "Auto"] {
-            assert!(parse_tier(wrong).unwrap_err().contains("0 to 4"), "{wrong}");
+            assert!(parse_tier_choice(wrong).unwrap_err().contains("0 to 4"), "{wrong}");
         }
     }
 }

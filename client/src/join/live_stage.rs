@@ -21,7 +21,7 @@ use crate::scene::model::LoadedModel;
 use crate::scene::pick::Ray;
 use crate::stats::{FrameTimes, PassTime};
 use crate::sync::{ClientClock, Paired, ReceivedLight};
-use crate::view::{Element, FrameReport, MAX_LOCAL, Renderer, View, local_id};
+use crate::view::{Element, FrameReport, MAX_LOCAL, Parallax, Renderer, View, local_id};
 
 /// The renderer behind the frame loop.
 pub struct LiveStage {
@@ -46,6 +46,7 @@ pub struct LiveStage {
     pts_us: u64,
     warned: HashMap<Element, String>,
     governor: Governor,
+    parallax: Parallax,
     clock: ClientClock,
     /// The last frame that was presented.
     before: Option<FrameTimes>,
@@ -78,12 +79,19 @@ impl LiveStage {
             pts_us: 0,
             warned: HashMap::new(),
             governor,
+            parallax: Parallax::default(),
             clock,
             before: None,
             overlay_shown: false,
             controls_shown: false,
             overlay: None,
         })
+    }
+
+    /// The same with the background of mono video at this distance.
+    #[must_use]
+    pub fn with_parallax(self, parallax: Parallax) -> Self {
+        Self { parallax, ..self }
     }
 
     fn follow_scene(&mut self) {
@@ -201,6 +209,7 @@ impl Stage for LiveStage {
         if self.renderer.as_ref().is_none_or(|(format, _)| *format != wanted) {
             let failed = |source: BoxError| FrameError::Failed { action: "setting up the renderer", source };
             let mut renderer = Renderer::new(&self.gpu, wanted).map_err(|error| failed(error.into()))?;
+            renderer.set_parallax(self.parallax);
             if let Some(light) = &self.light {
                 renderer.set_light(light);
             }
@@ -271,6 +280,10 @@ impl Stage for LiveStage {
     }
 }
 
+fn view_of(shot: &Shot) -> View<'_> {
+    View { camera: shot.camera, target: &shot.target.view, size: (shot.target.width, shot.target.height) }
+}
+
 impl World for LiveStage {
     fn pick(&self, ray: &Ray) -> Option<(ObjectId, Vec3)> {
         self.renderer.as_ref()?.1.pick(ray)
@@ -305,10 +318,6 @@ impl World for LiveStage {
     }
 }
 
-fn view_of(shot: &Shot) -> View<'_> {
-    View { camera: shot.camera, target: &shot.target.view, size: (shot.target.width, shot.target.height) }
-}
-
 #[cfg(test)]
 mod tests {
     use mr360_protocol::light::{LightFrame, SH9};
@@ -316,6 +325,7 @@ mod tests {
     use mr360_protocol::video::{StereoLayout, Transfer};
 
     use super::*;
+    use crate::camera::Camera;
     use crate::governor::Tier;
     use crate::picture::{Picture, Samples};
     use crate::sync::ReceivedLight;
@@ -339,7 +349,7 @@ mod tests {
         let gpu = Gpu::headless().unwrap();
         let (device, queue) = (gpu.device.clone(), gpu.queue.clone());
         let shared = SharedScene::new(ClientClock::start());
-        shared.apply(&snapshot(Geometry::Shape(mr360_protocol::scene::Shape::Sphere))).unwrap();
+        shared.apply(&snapshot(Geometry::Shape(Shape::Sphere))).unwrap();
         let mut stage = LiveStage::new(gpu, shared, Governor::fixed(Tier::FULL)).unwrap();
         let offscreen = crate::headless::Offscreen::new(&device, &queue, 8, 8);
         let camera = Camera { position: Vec3::Z * 3.0, ..Camera::looking(0.0, 0.0, 1.0) };
@@ -347,7 +357,8 @@ mod tests {
         for lit in [true, false, true] {
             stage.update(paired(lit)).unwrap();
             stage.draw(&[Shot { camera, target: offscreen.target() }]).unwrap();
-            seen.push((stage.shown, stage.pick(&camera, Vec2::ZERO, 1.0)));
+            let ray = Ray { origin: camera.position, direction: camera.ray(Vec2::ZERO, 1.0) };
+            seen.push((stage.shown.as_ref().map(|shown| shown.version), stage.pick(&ray).map(|(id, _)| id)));
         }
         assert_eq!(seen, [(Some(1), Some(ObjectId(1))), (Some(1), None), (Some(1), Some(ObjectId(1)))]);
     }

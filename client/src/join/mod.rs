@@ -98,6 +98,26 @@ fn present(settings: &Settings, stats: Stats, outputs: Outputs, (deeds, recorder
     standing.judge(shown, presented, settings.stop.load(Ordering::Relaxed))
 }
 
+fn in_headset(
+    frames: &mut FrameLoop,
+    settings: &Settings,
+    eyes: Option<EyeRecorder>,
+    scene: &SharedScene,
+    act: &mut dyn FnMut(Action),
+) -> anyhow::Result<()> {
+    let mut open = |gpu: Gpu| -> Result<LiveStage, BoxError> {
+        let stage = LiveStage::new(gpu, scene.clone(), settings.governor(Some(HEADSET_MHZ)))?;
+        Ok(settings.stage(stage.with_parallax(settings.parallax)))
+    };
+    match xr::run(frames, &settings.headset(), xr::Surroundings { open: &mut open, act: &mut *act, eyes }) {
+        Err(error @ XrError::NoHeadset { .. }) => {
+            tracing::warn!("{error}; going on in a window");
+            in_window(frames, settings, scene, act)
+        }
+        result => result.map(drop).map_err(Into::into),
+    }
+}
+
 /// Where wishes go: to the server, and into the script that is recorded.
 fn wishes(user: User, recorder: Option<script::Recorder>, clock: ClientClock) -> impl FnMut(Action) + Clone + Send + 'static {
     let recorder = recorder.map(|recorder| Arc::new(Mutex::new(recorder)));
@@ -109,25 +129,6 @@ fn wishes(user: User, recorder: Option<script::Recorder>, clock: ClientClock) ->
     }
 }
 
-fn in_headset(
-    frames: &mut FrameLoop,
-    settings: &Settings,
-    eyes: Option<EyeRecorder>,
-    scene: &SharedScene,
-    act: &mut dyn FnMut(Action),
-) -> anyhow::Result<()> {
-    let mut open = |gpu: Gpu| -> Result<LiveStage, BoxError> {
-        Ok(settings.stage(LiveStage::new(gpu, scene.clone(), settings.governor(Some(HEADSET_MHZ)))?))
-    };
-    match xr::run(frames, &settings.headset(), xr::Surroundings { open: &mut open, act: &mut *act, eyes }) {
-        Err(error @ XrError::NoHeadset { .. }) => {
-            tracing::warn!("{error}; going on in a window");
-            in_window(frames, settings, scene, act)
-        }
-        result => result.map(drop).map_err(Into::into),
-    }
-}
-
 fn in_window(frames: &mut FrameLoop, settings: &Settings, scene: &SharedScene, act: &mut dyn FnMut(Action)) -> anyhow::Result<()> {
     let mut open = |window: Arc<winit::window::Window>| -> Result<WindowGraphics<LiveStage>, BoxError> {
         let display_mhz = window.current_monitor().and_then(|monitor| monitor.refresh_rate_millihertz()).unwrap_or(DISPLAY_MHZ);
@@ -136,7 +137,7 @@ fn in_window(frames: &mut FrameLoop, settings: &Settings, scene: &SharedScene, a
         let surface = instance.create_surface(window)?;
         let gpu = Gpu::new(instance, Some(&surface))?;
         let (adapter, device, queue) = (gpu.adapter.clone(), gpu.device.clone(), gpu.queue.clone());
-        let stage = settings.stage(LiveStage::new(gpu, scene.clone(), governor)?);
+        let stage = settings.stage(LiveStage::new(gpu, scene.clone(), governor)?.with_parallax(settings.parallax));
         Ok(WindowGraphics { surface, adapter, device, queue, stage })
     };
     match window::run(frames, &settings.window(), &mut open, act) {
@@ -153,7 +154,7 @@ fn to_file(frames: &mut FrameLoop, settings: &Settings, files: Files, scene: &Sh
     let mut open = || -> Result<Graphics<LiveStage>, BoxError> {
         let gpu = Gpu::headless()?;
         let (device, queue) = (gpu.device.clone(), gpu.queue.clone());
-        let stage = settings.stage(LiveStage::new(gpu, scene.clone(), settings.governor(None))?);
+        let stage = settings.stage(LiveStage::new(gpu, scene.clone(), settings.governor(None))?.with_parallax(settings.parallax));
         Ok(Graphics { device, queue, stage })
     };
     let camera: Camera = settings.camera;

@@ -25,6 +25,11 @@ const MARGIN: i32 = 4;
 /// The panorama with its lights.
 const MAP: IVec2 = IVec2::new(168, 84);
 
+/// Lengths of lights' arrows, pixels: of one that gives nothing, and of one that gives all light.
+const SHORTEST_ARROW: i32 = 8;
+const LONGEST_ARROW: i32 = 30;
+/// Pixels of each stroke of an arrow's head.
+const ARROW_HEAD: i32 = 3;
 /// Column in which [`CONTROLS`] say what something does.
 const DOES_AT: i32 = 16;
 
@@ -203,7 +208,8 @@ fn paint(canvas: &mut Canvas, told: &Told<'_>) {
     }
 }
 
-/// The whole panorama, the view's middle as a cross, and each light as a disc in its colour, larger the more of all light it is.
+/// The whole panorama, the view's middle as a cross, and each light as a disc in its colour with an arrow the way it shines, towards level ground from
+/// above or from beneath; both larger the more of all light it is.
 fn paint_map(canvas: &mut Canvas, at: IVec2, told: &Told<'_>) {
     canvas.frame(at, MAP, FAINT);
     let place = |direction: Vec3| at + (uv_from_direction(direction) * MAP.as_vec2()).as_ivec2();
@@ -218,7 +224,19 @@ fn paint_map(canvas: &mut Canvas, at: IVec2, told: &Told<'_>) {
         let share = luminance(light.irradiance) / whole.max(f32::MIN_POSITIVE);
         let colour = light.irradiance / light.irradiance.max_element().max(f32::MIN_POSITIVE);
         let [r, g, b] = colour.to_array().map(|channel| (srgb_encode(channel) * 255.0).round() as u8);
-        canvas.disc(place(light.direction), 1 + (5.0 * share.clamp(0.0, 1.0).sqrt()) as i32, [r, g, b, 255]);
+        let (from, share) = (place(light.direction), share.clamp(0.0, 1.0));
+        canvas.disc(from, 1 + (5.0 * share.sqrt()) as i32, [r, g, b, 255]);
+        let reach = SHORTEST_ARROW + ((LONGEST_ARROW - SHORTEST_ARROW) as f32 * share) as i32;
+        paint_arrow(canvas, from, if light.direction.y < 0.0 { -reach } else { reach }, [r, g, b, 255]);
+    }
+}
+
+/// Down from a place by so many pixels, or up.
+fn paint_arrow(canvas: &mut Canvas, from: IVec2, reach: i32, colour: Colour) {
+    let step = reach.signum();
+    (0..=reach.abs()).for_each(|at| canvas.dot(from + IVec2::new(0, step * at), colour));
+    for aside in 1..=ARROW_HEAD {
+        [-aside, aside].into_iter().for_each(|across| canvas.dot(from + IVec2::new(across, reach - step * aside), colour));
     }
 }
 
@@ -329,6 +347,9 @@ mod tests {
         // +x is three quarters along the panorama, at half its height: 4 + 126 and 4 + 42, twice as large.
         assert_eq!(at(260, 92), [255, 0, 0, 255]);
         assert_eq!((at(260, 60)[0], at(0, 0)[3]), (0, PAPER[3]));
+        // All light comes from it: the arrow is 30 long, and its head's strokes end three above its tip.
+        assert_eq!([at(260, 152), at(254, 146), at(266, 146)], [[255, 0, 0, 255]; 3]);
+        assert_eq!([at(260, 156)[0], at(252, 152)[0]], [0, 0]);
         // Beyond its edge the target is as it was.
         assert_eq!((at(352, 10), at(10, 352)), ([0; 4], [0; 4]));
     }

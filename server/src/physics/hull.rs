@@ -17,7 +17,10 @@ pub(super) struct Hull {
 /// Thinnest body, metres, in any direction: the solver cannot hold what is thinner.
 const MIN_THICKNESS_M: f32 = 2e-3;
 /// A hull that is thinner than this share of its length is a box to the solver.
-const MIN_FLATNESS: f32 = 0.01;
+const MIN_FLATNESS: f32 = 0.1;
+
+/// How far the corners of a flat side move inwards that it does not stand on, as a share of its body's size.
+const FEET: f32 = 0.08;
 
 impl Hull {
     /// Around the points that lie farthest along each of [`directions`]; `None` of no points.
@@ -38,12 +41,8 @@ impl Hull {
         let corners: Vec<_> = picked.into_iter().map(|i| points[i]).collect();
         let size = max - min;
         let flat = size.min_element() < size.max_element() * MIN_FLATNESS;
-        let vectors: Vec<_> = corners.iter().map(|p| Vector::from_array(p.to_array())).collect();
-        let hull = (!flat).then(|| try_convex_hull(&vectors).ok()).flatten();
-        let (corners, faces) = match hull {
-            Some((corners, faces)) => (corners.iter().map(|p| Vec3::from_array(p.to_array())).collect(), faces),
-            None => (corners, Vec::new()),
-        };
+        let hull = (!flat).then(|| hull(&corners)).flatten().and_then(|(corners, faces)| hull(&with_feet(corners, &faces)));
+        let (corners, faces) = hull.unwrap_or((corners, Vec::new()));
         Some(Self { corners, faces, min, max })
     }
 
@@ -66,6 +65,53 @@ impl Hull {
         let solid = (thick && !self.faces.is_empty()).then(|| ColliderBuilder::convex_mesh(corners, &self.faces)).flatten();
         solid.unwrap_or_else(|| boxed(self.min * scale, self.max * scale))
     }
+}
+
+fn hull(points: &[Vec3]) -> Option<(Vec<Vec3>, Vec<[u32; 3]>)> {
+    let vectors: Vec<_> = points.iter().map(|p| Vector::from_array(p.to_array())).collect();
+    let (corners, faces) = try_convex_hull(&vectors).ok()?;
+    Some((corners.iter().map(|p| Vec3::from_array(p.to_array())).collect(), faces))
+}
+
+/// The solver takes the first four corners of a flat side for the whole of it, and what stands on more of them tips over. So of each such
+/// side the four that span most of it stay, and the others move inwards a little.
+fn with_feet(mut corners: Vec<Vec3>, faces: &[[u32; 3]]) -> Vec<Vec3> {
+    let at = |corners: &[Vec3], i: u32| corners[i as usize];
+    let size = corners.iter().map(|p| p.abs().max_element()).fold(0.0, f32::max);
+    let plane = |face: &[u32; 3]| {
+        let [a, b, c] = face.map(|i| at(&corners, i));
+        let normal = (b - a).cross(c - a).normalize_or_zero();
+        (normal, normal.dot(a))
+    };
+    let mut moved = Vec::new();
+    let mut seen: Vec<(Vec3, f32)> = Vec::new();
+    for face in faces {
+        let (normal, offset) = plane(face);
+        let same = |(other, distance): &(Vec3, f32)| other.dot(normal) > 1.0 - 1e-4 && (distance - offset).abs() < size * 1e-3;
+        if normal == Vec3::ZERO || seen.iter().any(same) {
+            continue;
+        }
+        seen.push((normal, offset));
+        let side: Vec<u32> = (0..corners.len() as u32).filter(|i| (normal.dot(at(&corners, *i)) - offset).abs() < size * 1e-3).collect();
+        if side.len() > 4 {
+            let feet = four_of(&side, normal, |i| at(&corners, i));
+            moved.extend(side.into_iter().filter(|i| !feet.contains(i)).map(|i| (i, normal)));
+        }
+    }
+    for (i, normal) in moved {
+        corners[i as usize] -= normal * (size * FEET);
+    }
+    corners
+}
+
+/// The two corners that are farthest from each other, and the farthest from their line on both sides of it.
+fn four_of(side: &[u32], normal: Vec3, at: impl Fn(u32) -> Vec3) -> [u32; 4] {
+    let farthest = |of: &dyn Fn(u32) -> f32| side.iter().copied().max_by(|a, b| of(*a).total_cmp(&of(*b))).unwrap_or_default();
+    let first = farthest(&|i| at(i).distance(at(side[0])));
+    let second = farthest(&|i| at(i).distance(at(first)));
+    let across = normal.cross(at(second) - at(first));
+    let beside = |i: u32| across.dot(at(i) - at(first));
+    [first, second, farthest(&beside), farthest(&|i| -beside(i))]
 }
 
 /// A box, thick enough to be held.

@@ -228,15 +228,14 @@ impl Physics {
     }
 }
 
-/// What flies off the edge of the world stops there; nothing spins or flies faster than wishes may.
+/// What flies off the edge of the world goes no farther; nothing spins faster than wishes may.
 fn keep_in_bounds(rigid: &mut rapier3d::prelude::RigidBody) {
     let at = *rigid.position();
     let edge = Vector::splat(MAX_POSITION_M);
     let inside = at.translation.clamp(-edge, edge);
     if inside != at.translation {
         rigid.set_position(Pose::from_parts(inside, at.rotation), false);
-        rigid.sleep();
-        return;
+        rigid.set_linvel(Vector::ZERO, false);
     }
     let most = Vector::splat(MAX_SPIN_RAD_S);
     if rigid.angvel().abs().max_element() > MAX_SPIN_RAD_S {

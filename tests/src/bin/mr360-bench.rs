@@ -23,7 +23,7 @@ struct Cli {
 enum Bench {
     /// Light: accuracy against time of every method on HDR panoramas; speed on one live frame; sweep of the working resolution; stability over time; steps and share of one core for large frames of a clip.
     Lighting(Lighting),
-    /// The demo's scene in a viewer beside its server; pictures against path-traced truth and three.js; shadows against path-traced visibility; growth of time.
+    /// The demo's scene in a viewer beside its server; pictures against path-traced truth and three.js; shadows against path-traced visibility; time against error; growth of time; a race against Bevy.
     Render(Render),
     /// One server and N headless viewers: age of light and video, the server's CPU and memory, bytes per track.
     Network(Network),
@@ -106,8 +106,8 @@ struct Render {
     /// Folder for the results; made where it is missing.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// What is measured; everything unless given.
-    #[arg(long, value_enum, value_delimiter = ',', default_value = "viewers,truth,shadows,growth")]
+    /// What is measured; everything but the race unless given.
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "viewers,truth,shadows,methods,growth")]
     part: Vec<RenderPart>,
     /// What the server broadcasts to viewers.
     #[arg(long, default_value = "synthetic:plaza?size=1280x640", value_name = "URL|FILE|synthetic:NAME")]
@@ -133,6 +133,9 @@ struct Render {
     /// The browser that three.js draws in.
     #[arg(long, default_value = "chromium", value_name = "PATH")]
     chromium: PathBuf,
+    /// Bevy's side of the race: what `cargo build` makes in tests/peers/bevy_scene.
+    #[arg(long, value_name = "PATH", required_if_eq("part", "bevy"))]
+    bevy: Option<PathBuf>,
 }
 
 /// What `render` measures.
@@ -144,8 +147,12 @@ enum RenderPart {
     Truth,
     /// Shadows against path-traced visibility.
     Shadows,
-    /// Time of every pass over lights, objects, triangles, roughness and size.
+    /// Time against error of every way to look up reflections in every tier.
+    Methods,
+    /// Time of every pass over lights, objects, triangles, roughness, size and views.
     Growth,
+    /// Race against Bevy; wants --bevy.
+    Bevy,
 }
 
 impl From<RenderPart> for render::Part {
@@ -154,7 +161,9 @@ impl From<RenderPart> for render::Part {
             RenderPart::Viewers => Self::Viewers,
             RenderPart::Truth => Self::Truth,
             RenderPart::Shadows => Self::Shadows,
+            RenderPart::Methods => Self::Methods,
             RenderPart::Growth => Self::Growth,
+            RenderPart::Bevy => Self::Bevy,
         }
     }
 }
@@ -221,9 +230,9 @@ fn run(bench: Bench) -> anyhow::Result<()> {
             let parts = part.into_iter().map(Into::into).collect();
             lighting::run(&lighting::Options { parts, panoramas, rounds, python, three, node, size, frames, method, out })
         }
-        Bench::Render(Render { out, part, source, scene, size, frames, panoramas, three, node, chromium }) => {
+        Bench::Render(Render { out, part, source, scene, size, frames, panoramas, three, node, chromium, bevy }) => {
             let parts = part.into_iter().map(Into::into).collect();
-            render::run(&render::Options { parts, source, scene, size, frames, panoramas, three, node, chromium, out })
+            render::run(&render::Options { parts, source, scene, size, frames, panoramas, three, node, chromium, bevy, out })
         }
         Bench::Network(Network { out, viewers, seconds, source, size }) => {
             network::run(&network::Options { viewers, seconds, source, size, out })
