@@ -457,7 +457,7 @@ fn a_hand_in_the_headset_moves_what_it_holds() -> Result<()> {
     let folder = sandbox.path("eyes");
     let arguments = ["--mode", "xr", "--mute", "--record-eyes", folder.to_str().context("path")?];
     let mut viewer = runtime.join(&sandbox, "viewer", &server.join_url, &arguments)?;
-    let mut shown = |viewer: &mut Program| -> Result<()> {
+    let shown = |viewer: &mut Program| -> Result<()> {
         for _ in 0..2 {
             viewer.wait_for_text("eyes kept", LONG)?;
             viewer.mark();
