@@ -54,10 +54,42 @@ pub struct Target {
     pub view: wgpu::TextureView,
     /// Its format.
     pub format: wgpu::TextureFormat,
+    /// A depth attachment of [`DEPTH_FORMAT`](crate::view::DEPTH_FORMAT) and the same size, where whoever presents asks for depth: 1 at [`Camera::NEAR_M`], 0 at infinity.
+    pub depth: Option<wgpu::TextureView>,
     /// Columns.
     pub width: u32,
     /// Rows.
     pub height: u32,
+}
+
+/// One view of a frame. All of a frame have targets of one format.
+pub struct Shot {
+    /// From where.
+    pub camera: Camera,
+    /// Where to.
+    pub target: Target,
+}
+
+/// What presenting a frame came to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Presented {
+    /// How often this thread stood still for the GPU, or for pictures that are still shown, within the frame. What a headset's runtime does in
+    /// its own calls is not seen from here.
+    pub gpu_waits: u64,
+    /// Of a headset.
+    pub headset: Option<HeadsetTimes>,
+}
+
+/// What only a headset's frames have.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct HeadsetTimes {
+    /// From reading the pose that the frame was drawn for to when the runtime predicts its light to leave the display, microseconds, 0 when
+    /// that was over; `None` where the runtime's clock cannot be read.
+    pub pose_to_photon_us: Option<u64>,
+    /// From the runtime's call for the frame to handing it over, microseconds: whatever is waited for within a frame is in it.
+    pub frame_us: u64,
+    /// Display intervals since the start that no new frame came for.
+    pub missed: u64,
 }
 
 /// What drawing a view came to.
@@ -89,14 +121,20 @@ pub trait Stage: World {
     /// looks different for it.
     fn relight(&mut self, light: &LightFrame) -> bool;
 
-    /// Draws the view and submits it.
+    /// Draws a frame of one or more views and submits it.
     ///
     /// # Errors
     /// As [`Stage::prepare`].
-    fn draw(&mut self, camera: &Camera, target: &Target) -> Result<Drawn, FrameError>;
+    fn draw(&mut self, shots: &[Shot]) -> Result<Drawn, FrameError>;
+
+    /// The display shows a frame every so many microseconds.
+    fn set_interval(&mut self, _interval_us: u32) {}
 
     /// Shows what a frame costs over the view, or no longer.
     fn toggle_overlay(&mut self) {}
+
+    /// Told of every frame once it was presented.
+    fn presented(&mut self, _times: &FrameTimes) {}
 
     /// Shows what mouse and keys do over the view, or no longer.
     fn toggle_controls(&mut self) {}
@@ -123,19 +161,20 @@ pub struct PictureTime {
     pub pts_us: u64,
 }
 
-/// Shows frames: in a window, or to nobody.
+/// Shows frames: in a headset, in a window, or to nobody.
 pub trait Presenter {
-    /// The next target, or `None` when there is none just now (hidden window, resize under way): the frame is skipped.
+    /// The next frame's views, or `None` when there is nowhere to draw just now (hidden window, resize under way): the frame is skipped.
+    /// They are from `camera`, unless whoever presents knows better where the viewer is; then this is the last moment to ask.
     ///
     /// # Errors
     /// [`FrameError::DeviceLost`] when everything has to be opened anew.
-    fn acquire(&mut self) -> Result<Option<Target>, FrameError>;
+    fn acquire(&mut self, camera: &Camera) -> Result<Option<Vec<Shot>>, FrameError>;
 
-    /// Presents what was drawn to the target acquired last, of the picture `shown`. `now` is when the drawing was submitted.
+    /// Presents what was drawn to the targets acquired last, of the picture `shown`. `now` is when the drawing was submitted.
     ///
     /// # Errors
     /// As [`Presenter::acquire`].
-    fn present(&mut self, shown: PictureTime, now: ClientTime) -> Result<(), FrameError>;
+    fn present(&mut self, shown: PictureTime, now: ClientTime) -> Result<Presented, FrameError>;
 }
 
 /// From the network, apart from pictures.
@@ -272,7 +311,18 @@ impl FrameLoop {
         if new_picture && wanted && !presented {
             self.stats.skipped();
         }
-        Ok(Turn { presented, ended: self.ended && self.playout.next_deadline(self.clock.now()).is_none() })
+        Ok(Turn { presented, ended: self.has_ended() })
+    }
+
+    /// A turn in which nothing can be shown: takes in what arrived and lets due pictures pass unseen, so that what comes after it is shown in
+    /// time.
+    pub fn pass(&mut self) -> Turn {
+        self.take_in();
+        if self.playout.poll(self.clock.now()).is_some() {
+            self.stats.unseen();
+        }
+        self.follow_with_sound();
+        Turn { presented: false, ended: self.has_ended() }
     }
 
     /// Forgets what was on the GPU; the playout goes on.
@@ -359,6 +409,16 @@ impl FrameLoop {
         }
     }
 
+    fn has_ended(&self) -> bool {
+        self.ended && self.playout.next_deadline(self.clock.now()).is_none()
+    }
+
+    fn follow_with_sound(&self) {
+        if let Some(audio) = &self.inputs.audio {
+            audio.set(self.playout.presentation_offset_us());
+        }
+    }
+
     fn light_times(&self, light: &ReceivedLight) -> Option<LightTimes> {
         let published = self.server_clock.client_from_server(ServerTime(light.light.published_us), light.arrived)?;
         Some(LightTimes { pts_us: light.light.pts_us, published, arrived: light.arrived })
@@ -367,9 +427,7 @@ impl FrameLoop {
     fn update(&mut self, stage: &mut impl Stage) -> Result<bool, FrameError> {
         let now = self.clock.now();
         let paired = self.playout.poll(now);
-        if let Some(audio) = &self.inputs.audio {
-            audio.set(self.playout.presentation_offset_us());
-        }
+        self.follow_with_sound();
         let Some(paired) = paired else { return Ok(false) };
         let mut on_stage = OnStage {
             time: PictureTime { epoch: self.playout.epoch(), pts_us: paired.picture.pts_us },
@@ -405,11 +463,11 @@ impl FrameLoop {
 
     fn show(&mut self, stage: &mut impl Stage, presenter: &mut impl Presenter, camera: &Camera) -> Result<bool, FrameError> {
         let Some(on_stage) = self.on_stage.as_mut() else { return Ok(false) };
-        let Some(target) = presenter.acquire()? else { return Ok(false) };
+        let Some(shots) = presenter.acquire(camera)? else { return Ok(false) };
         let begun = self.clock.now();
-        let drawn = stage.draw(camera, &target)?;
+        let drawn = stage.draw(&shots)?;
         let rendered = self.clock.now();
-        presenter.present(on_stage.time, rendered)?;
+        let shown = presenter.present(on_stage.time, rendered)?;
         // What a lost device drew is nothing to count.
         if let Some(detail) = stage.device_lost() {
             return Err(FrameError::DeviceLost { detail });
@@ -430,6 +488,7 @@ impl FrameLoop {
             rendered,
             presented,
             playout_delay_us: self.playout.delay_us(),
+            shown,
         };
         on_stage.presented_once = true;
         self.stale = false;
@@ -440,6 +499,7 @@ impl FrameLoop {
         self.frames += 1;
         self.stats.counted(self.playout.drops(), Some(&self.inputs.decoder));
         self.stats.presented(&times, &drawn);
+        stage.presented(&times);
         Ok(true)
     }
 }

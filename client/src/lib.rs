@@ -23,7 +23,9 @@ pub mod script;
 pub mod stats;
 pub mod sync;
 pub mod view;
+pub mod viewpoint;
 pub mod window;
+pub mod xr;
 
 /// Why a command of the client ended before it was done.
 pub type Failure = mr360_protocol::failure::Failure<anyhow::Error>;

@@ -131,7 +131,36 @@ pub struct Object {
     pub animation: Playback,
 }
 
-/// A mesh of the real place, as the video shows it: it catches shadows and hides what is behind it, and is itself never seen.
+/// How a real surface mirrors virtual objects. The light in it needs none of this: the video shows that already.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Gloss {
+    /// Perceptual roughness in [0, 1]; alpha is its square.
+    pub roughness: f32,
+    /// Share of light that is mirrored straight back, in [0, 1]; nothing is mirrored at 0.
+    pub reflectance: f32,
+}
+
+impl Gloss {
+    /// A surface that mirrors nothing.
+    pub const MATT: Self = Self { roughness: 1.0, reflectance: 0.0 };
+    /// Reflectance of what is neither metal nor gem: stone, wood, water, varnish.
+    pub const DIELECTRIC: f32 = 0.04;
+
+    pub(crate) fn validate(self, message: &'static str) -> Result<(), WireError> {
+        let unit = |v: f32| (0.0..=1.0).contains(&v);
+        ensure_in_range(unit(self.roughness), message, "roughness", || self.roughness.to_string())?;
+        ensure_in_range(unit(self.reflectance), message, "reflectance", || self.reflectance.to_string())
+    }
+}
+
+impl Default for Gloss {
+    fn default() -> Self {
+        Self::MATT
+    }
+}
+
+/// A mesh of the real place, as the video shows it: it catches shadows and reflections, hides what is behind it, and is itself never
+/// seen.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct PlaceMesh {
     /// A glTF 2.0 model; its materials do not count.
@@ -140,6 +169,8 @@ pub struct PlaceMesh {
     pub transform: Transform,
     /// It stands between the lights and what lies behind it. Not so for walls that hold the lights themselves, or lie beyond them.
     pub casts_shadows: bool,
+    /// How it mirrors objects.
+    pub gloss: Gloss,
 }
 
 /// What users may put into the scene.
@@ -162,6 +193,8 @@ pub struct Scene {
     pub revision: u64,
     /// Height of the ground plane, metres, relative to the camera that filmed the panorama at y = 0.
     pub ground_y: f32,
+    /// How the ground mirrors objects.
+    pub ground: Gloss,
     /// In order of id.
     pub objects: Vec<Object>,
     /// Beside the ground, what of the real place catches shadows.
@@ -172,7 +205,7 @@ pub struct Scene {
 
 impl Default for Scene {
     fn default() -> Self {
-        Self { revision: 0, ground_y: -1.6, objects: Vec::new(), place: Vec::new(), library: LibraryItem::shapes() }
+        Self { revision: 0, ground_y: -1.6, ground: Gloss::MATT, objects: Vec::new(), place: Vec::new(), library: LibraryItem::shapes() }
     }
 }
 
@@ -386,7 +419,8 @@ impl Scene {
         ensure_in_range(self.place.len() <= MAX_PLACE_MESHES, message, "place", || {
             format!("{} meshes, at most {MAX_PLACE_MESHES}", self.place.len())
         })?;
-        self.place.iter().try_for_each(|mesh| mesh.transform.validate(message))?;
+        self.ground.validate(message)?;
+        self.place.iter().try_for_each(|mesh| mesh.transform.validate(message).and_then(|()| mesh.gloss.validate(message)))?;
         ensure_in_range(self.library.len() <= MAX_LIBRARY, message, "library", || {
             format!("{} items, at most {MAX_LIBRARY}", self.library.len())
         })?;
@@ -397,7 +431,8 @@ impl Scene {
 
 impl Message for SceneMessage {
     const NAME: &'static str = "scene message";
-    /// 2: objects have a [`Playback`], scenes have meshes of the place. 3: scenes have a library, deltas say when they were.
+    /// 2: objects have a [`Playback`], scenes have meshes of the place. 3: scenes have a library, deltas say when they were, ground and
+    /// place have a [`Gloss`].
     const VERSION: u8 = 3;
 
     fn validate(&self) -> Result<(), WireError> {

@@ -10,19 +10,18 @@ use mr360_protocol::light::LightFrame;
 use mr360_protocol::scene::{Geometry, LibraryItem, Object, ObjectId, Playback, Scene, Shape, Transform};
 
 use super::shared_scene::{SharedScene, Shown};
-use crate::camera::Camera;
 use crate::environment::Environment;
-use crate::frame_loop::{BoxError, Drawn, FrameError, Stage, Target};
+use crate::frame_loop::{BoxError, Drawn, FrameError, Shot, Stage};
 use crate::governor::Governor;
-use crate::gpu::Gpu;
+use crate::gpu::{Gpu, GpuError};
 use crate::hands::{LocalObject, World, looks};
 use crate::overlay::{Overlay, Told};
 use crate::scene::mesh::Bounds;
 use crate::scene::model::LoadedModel;
 use crate::scene::pick::Ray;
-use crate::stats::PassTime;
+use crate::stats::{FrameTimes, PassTime};
 use crate::sync::{ClientClock, Paired, ReceivedLight};
-use crate::view::{Element, FrameReport, MAX_LOCAL, Renderer, View, local_id};
+use crate::view::{Element, FrameReport, MAX_LOCAL, Parallax, Renderer, View, local_id};
 
 /// The renderer behind the frame loop.
 pub struct LiveStage {
@@ -47,7 +46,10 @@ pub struct LiveStage {
     pts_us: u64,
     warned: HashMap<Element, String>,
     governor: Governor,
+    parallax: Parallax,
     clock: ClientClock,
+    /// The last frame that was presented.
+    before: Option<FrameTimes>,
     overlay_shown: bool,
     controls_shown: bool,
     /// Made when first shown, for the format of the target.
@@ -77,11 +79,19 @@ impl LiveStage {
             pts_us: 0,
             warned: HashMap::new(),
             governor,
+            parallax: Parallax::default(),
             clock,
+            before: None,
             overlay_shown: false,
             controls_shown: false,
             overlay: None,
         })
+    }
+
+    /// The same with the background of mono video at this distance.
+    #[must_use]
+    pub fn with_parallax(self, parallax: Parallax) -> Self {
+        Self { parallax, ..self }
     }
 
     fn follow_scene(&mut self) {
@@ -142,23 +152,26 @@ impl LiveStage {
         cost_ms
     }
 
-    fn draw_overlay(&mut self, camera: &Camera, target: &Target, drawn: &Drawn, cost_ms: f32) -> Result<(), FrameError> {
+    fn draw_overlay(&mut self, shots: &[Shot], drawn: &Drawn, cost_ms: f32) -> Result<(), FrameError> {
         let Some((_, renderer)) = self.renderer.as_ref().filter(|_| self.overlay_shown || self.controls_shown) else { return Ok(()) };
-        if self.overlay.as_ref().is_none_or(|(format, _)| *format != target.format) {
+        let Some(first) = shots.first() else { return Ok(()) };
+        let wanted = first.target.format;
+        if self.overlay.as_ref().is_none_or(|(format, _)| *format != wanted) {
             let failed = |source: BoxError| FrameError::Failed { action: "setting up the overlay", source };
-            self.overlay = Some((target.format, Overlay::new(&self.gpu, target.format).map_err(|error| failed(error.into()))?));
+            self.overlay = Some((wanted, Overlay::new(&self.gpu, wanted).map_err(|error| failed(error.into()))?));
         }
         let Some((_, overlay)) = &mut self.overlay else { return Ok(()) };
         let told = Told {
             drawn,
+            before: self.before.as_ref(),
             cost_ms,
             budget_ms: self.governor.budget_us().map(|budget| budget * 1e-3),
             light: renderer.current_light(),
-            looking: camera.ray(Vec2::ZERO, 1.0),
+            looking: first.camera.ray(Vec2::ZERO, 1.0),
             controls: self.controls_shown,
         };
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("overlay") });
-        overlay.draw(&self.gpu, &mut encoder, (&target.view, (target.width, target.height)), &told);
+        overlay.draw(&self.gpu, &mut encoder, shots, &told);
         self.gpu.queue.submit([encoder.finish()]);
         Ok(())
     }
@@ -191,14 +204,16 @@ impl Stage for LiveStage {
         renderer.has_objects()
     }
 
-    fn draw(&mut self, camera: &Camera, target: &Target) -> Result<Drawn, FrameError> {
-        if self.renderer.as_ref().is_none_or(|(format, _)| *format != target.format) {
+    fn draw(&mut self, shots: &[Shot]) -> Result<Drawn, FrameError> {
+        let Some(wanted) = shots.first().map(|shot| shot.target.format) else { return Ok(Drawn::default()) };
+        if self.renderer.as_ref().is_none_or(|(format, _)| *format != wanted) {
             let failed = |source: BoxError| FrameError::Failed { action: "setting up the renderer", source };
-            let mut renderer = Renderer::new(&self.gpu, target.format).map_err(|error| failed(error.into()))?;
+            let mut renderer = Renderer::new(&self.gpu, wanted).map_err(|error| failed(error.into()))?;
+            renderer.set_parallax(self.parallax);
             if let Some(light) = &self.light {
                 renderer.set_light(light);
             }
-            self.renderer = Some((target.format, renderer));
+            self.renderer = Some((wanted, renderer));
             self.shown = None;
         }
         self.follow_scene();
@@ -207,14 +222,28 @@ impl Stage for LiveStage {
         let tier = self.governor.tier();
         renderer.set_tier(tier);
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("frame") });
-        let view = View { camera: *camera, target: &target.view, size: (target.width, target.height) };
-        let report = renderer.render(&self.gpu, &mut encoder, &mut self.environment, &[view]);
+        let views: Vec<View<'_>> = shots.iter().map(view_of).collect();
+        let depths: Vec<&wgpu::TextureView> = shots.iter().filter_map(|shot| shot.target.depth.as_ref()).collect();
+        renderer.set_keeps_depth(!depths.is_empty());
+        let report = renderer.render(&self.gpu, &mut encoder, &mut self.environment, &views);
+        if !depths.is_empty() {
+            let failed = |error: GpuError| FrameError::Failed { action: "writing depth", source: error.into() };
+            renderer.write_depth(&self.gpu, &mut encoder, &depths).map_err(failed)?;
+        }
         self.gpu.queue.submit([encoder.finish()]);
         let FrameReport { passes, plan, .. } = report;
         let cost_ms = self.govern(begun, &passes);
         let drawn = Drawn { passes, tier, plan };
-        self.draw_overlay(camera, target, &drawn, cost_ms)?;
+        self.draw_overlay(shots, &drawn, cost_ms)?;
         Ok(drawn)
+    }
+
+    fn presented(&mut self, times: &FrameTimes) {
+        self.before = Some(*times);
+    }
+
+    fn set_interval(&mut self, interval_us: u32) {
+        self.governor.set_interval(interval_us);
     }
 
     fn toggle_overlay(&mut self) {
@@ -249,6 +278,10 @@ impl Stage for LiveStage {
         self.local = objects.to_vec();
         self.local_ids = (0..).zip(objects).map(|(index, local)| local_id(index, local.casts)).collect();
     }
+}
+
+fn view_of(shot: &Shot) -> View<'_> {
+    View { camera: shot.camera, target: &shot.target.view, size: (shot.target.width, shot.target.height) }
 }
 
 impl World for LiveStage {
@@ -292,6 +325,7 @@ mod tests {
     use mr360_protocol::video::{StereoLayout, Transfer};
 
     use super::*;
+    use crate::camera::Camera;
     use crate::governor::Tier;
     use crate::picture::{Picture, Samples};
     use crate::sync::ReceivedLight;
@@ -320,7 +354,7 @@ mod tests {
         let camera = Camera { position: Vec3::Z * 3.0, ..Camera::looking(0.0, 0.0, 1.0) };
         let draw = move |stage: &mut LiveStage, lit| {
             stage.update(paired(lit)).unwrap();
-            stage.draw(&camera, &offscreen.target()).unwrap();
+            stage.draw(&[Shot { camera, target: offscreen.target() }]).unwrap();
         };
         (stage, shared, draw)
     }

@@ -21,8 +21,9 @@ use mr360_protocol::stop::asked_to_stop;
 use crate::Failure;
 use crate::camera::Camera;
 use crate::decode::VideoDecoder;
-use crate::frame_loop::{BoxError, FrameLoop, Inputs};
+use crate::frame_loop::{BoxError, FrameLoop, Inputs, Stage};
 use crate::gpu::{self, Gpu};
+use crate::hands::{Hands, HandsInput};
 use crate::headless::{self, Files, Graphics};
 use crate::receive::{Receiver as Network, User};
 use crate::script::{self, Deed, Player};
@@ -30,7 +31,8 @@ use crate::stats::Stats;
 use crate::sync::ClientClock;
 use crate::view;
 use crate::window::{self, WindowError, WindowGraphics};
-use args::{DISPLAY_MHZ, Settings};
+use crate::xr::{self, EyeRecorder, XrError};
+use args::{DISPLAY_MHZ, HEADSET_MHZ, Settings};
 use arrivals::Arrivals;
 use inbox::Inbox;
 use shared_scene::SharedScene;
@@ -45,14 +47,20 @@ pub fn run(args: JoinArgs) -> Result<(), Failure> {
     let settings = args.settle().map_err(Failure::Input)?;
     let stats = Stats::open(settings.stats.as_deref(), &view::PASSES).map_err(|error| Failure::Input(error.into()))?;
     let scripts = settings.scripts()?;
-    let files = settings.files()?;
-    present(&settings, stats, files, scripts).map_err(Failure::Running)
+    let outputs = Outputs { files: settings.files()?, eyes: settings.eyes()? };
+    present(&settings, stats, outputs, scripts).map_err(Failure::Running)
+}
+
+/// What a run writes.
+struct Outputs {
+    files: Files,
+    eyes: Option<EyeRecorder>,
 }
 
 /// What is to be done, and where to write what the user does.
 type Scripts = (Option<Vec<Deed>>, Option<script::Recorder>);
 
-fn present(settings: &Settings, stats: Stats, files: Files, (deeds, recorder): Scripts) -> anyhow::Result<()> {
+fn present(settings: &Settings, stats: Stats, outputs: Outputs, (deeds, recorder): Scripts) -> anyhow::Result<()> {
     let clock = ClientClock::start();
     stop_on_signal(Arc::clone(&settings.stop))?;
     let (network, events) = Network::start(settings.network.clone(), clock)?;
@@ -73,8 +81,9 @@ fn present(settings: &Settings, stats: Stats, files: Files, (deeds, recorder): S
         frames.play(Player::new(deeds, Box::new(act.clone())));
     }
     let shown = match settings.mode {
+        Mode::Xr => in_headset(&mut frames, settings, outputs.eyes, &scene, &mut act),
         Mode::Window => in_window(&mut frames, settings, &scene, &mut act),
-        Mode::Headless => to_file(&mut frames, settings, files, &scene),
+        Mode::Headless => to_file(&mut frames, settings, outputs.files, &scene),
     };
     drop(network);
     let presented = frames.frames();
@@ -88,6 +97,36 @@ fn present(settings: &Settings, stats: Stats, files: Files, (deeds, recorder): S
         dropped => tracing::warn!(dropped, "lights and counts of bytes were dropped while the frame loop stood still"),
     }
     standing.judge(shown, presented, settings.stop.load(Ordering::Relaxed))
+}
+
+fn in_headset(
+    frames: &mut FrameLoop,
+    settings: &Settings,
+    eyes: Option<EyeRecorder>,
+    scene: &SharedScene,
+    act: &mut dyn FnMut(Action),
+) -> anyhow::Result<()> {
+    let mut open = |gpu: Gpu| -> Result<LiveStage, BoxError> {
+        Ok(settings.stage(LiveStage::new(gpu, scene.clone(), settings.governor(Some(HEADSET_MHZ)))?))
+    };
+    let mut hands = Hands::default();
+    let mut handle = |input: &HandsInput, stage: &mut LiveStage| {
+        let output = hands.update(input, stage);
+        for action in output.actions {
+            stage.predict(&action, input.now);
+            act(action);
+        }
+        stage.show_local(&output.drawn);
+        output.haptics
+    };
+    let surroundings = xr::Surroundings { open: &mut open, ground_y: &|| scene.ground_y(), act: &mut handle, eyes };
+    match xr::run(frames, &settings.headset(), surroundings) {
+        Err(error @ XrError::NoHeadset { .. }) => {
+            tracing::warn!("{error}; going on in a window");
+            in_window(frames, settings, scene, act)
+        }
+        result => result.map(drop).map_err(Into::into),
+    }
 }
 
 /// Where wishes go: to the server, and into the script that is recorded.
@@ -109,7 +148,7 @@ fn in_window(frames: &mut FrameLoop, settings: &Settings, scene: &SharedScene, a
         let surface = instance.create_surface(window)?;
         let gpu = Gpu::new(instance, Some(&surface))?;
         let (adapter, device, queue) = (gpu.adapter.clone(), gpu.device.clone(), gpu.queue.clone());
-        let stage = settings.stage(LiveStage::new(gpu, scene.clone(), governor)?);
+        let stage = settings.stage(LiveStage::new(gpu, scene.clone(), governor)?.with_parallax(settings.parallax));
         Ok(WindowGraphics { surface, adapter, device, queue, stage })
     };
     match window::run(frames, &settings.window(), &mut open, act) {
@@ -126,7 +165,7 @@ fn to_file(frames: &mut FrameLoop, settings: &Settings, files: Files, scene: &Sh
     let mut open = || -> Result<Graphics<LiveStage>, BoxError> {
         let gpu = Gpu::headless()?;
         let (device, queue) = (gpu.device.clone(), gpu.queue.clone());
-        let stage = settings.stage(LiveStage::new(gpu, scene.clone(), settings.governor(None))?);
+        let stage = settings.stage(LiveStage::new(gpu, scene.clone(), settings.governor(None))?.with_parallax(settings.parallax));
         Ok(Graphics { device, queue, stage })
     };
     let camera: Camera = settings.camera;

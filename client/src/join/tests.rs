@@ -8,7 +8,7 @@ use mr360_protocol::scene::{Geometry, Material, Object, ObjectId, Scene, SceneMe
 
 use super::shared_scene::SharedScene;
 use super::*;
-use crate::frame_loop::{Drawn, FrameError, Stage, Target};
+use crate::frame_loop::{Drawn, FrameError, Shot, Stage};
 use crate::governor::{Governor, Tier};
 use crate::hands::{LocalObject, World};
 use crate::headless::tests::{endless_frame_loop, png};
@@ -56,9 +56,9 @@ impl Stage for Doomed {
         self.stage.relight(light)
     }
 
-    fn draw(&mut self, camera: &Camera, target: &Target) -> Result<Drawn, FrameError> {
+    fn draw(&mut self, shots: &[Shot]) -> Result<Drawn, FrameError> {
         self.reached(Step::Draw);
-        self.stage.draw(camera, target)
+        self.stage.draw(shots)
     }
 
     fn device_lost(&self) -> Option<String> {

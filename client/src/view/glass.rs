@@ -72,7 +72,8 @@ impl Renderer {
         let Some((_, layer)) = self.layers.get(at) else { return };
         let (Some(glass), Some(samples)) = (&layer.glass, &layer.samples) else { return };
         let group = self.resources.glass_group(gpu, &self.layouts, glass);
-        let kept = wgpu::Operations { load: wgpu::LoadOp::Load, store: wgpu::StoreOp::Discard };
+        let store = if self.keeps_depth { wgpu::StoreOp::Store } else { wgpu::StoreOp::Discard };
+        let kept = wgpu::Operations { load: wgpu::LoadOp::Load, store };
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some(GLASS[at]),
             color_attachments: &[Some(wgpu::RenderPassColorAttachment {

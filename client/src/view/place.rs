@@ -5,9 +5,9 @@
 use bytemuck::Zeroable as _;
 use glam::{Mat3, Mat4, Vec3};
 use mr360_protocol::light::DirectionalLight;
-use mr360_protocol::scene::{Geometry, PlaceMesh};
+use mr360_protocol::scene::{Geometry, Gloss, PlaceMesh};
 use mr360_shaders::layout;
-use mr360_shaders::source::{OCCLUDER_REACH, Surface};
+use mr360_shaders::source::{OCCLUDER_REACH, ROUGH_TO, Surface};
 
 use super::material::Look;
 use super::models::Models;
@@ -35,6 +35,11 @@ pub(super) struct Place {
     triangles: u64,
 }
 
+/// True for a surface that mirrors objects. What is too rough for a mirror image is matt.
+pub(super) fn is_glossy(gloss: Gloss) -> bool {
+    gloss.reflectance > 0.0 && gloss.roughness < ROUGH_TO
+}
+
 impl Stage {
     /// Adds a mesh of the place, of which `parts` of the scene's are drawn so far.
     pub(super) fn add_place(&mut self, mesh: &PlaceMesh, models: &Models, parts: &mut usize) -> Result<(), ModelFault> {
@@ -44,6 +49,7 @@ impl Stage {
             return Err(ModelFault::TooManyParts);
         }
         *parts += model.parts.len();
+        self.needs.glossy_place |= is_glossy(mesh.gloss);
         let transform = mesh.transform;
         let world_from_object = Mat4::from_scale_rotation_translation(transform.scale, transform.rotation, transform.position);
         let normals = Mat3::from_mat4(world_from_object).inverse().transpose();
@@ -52,6 +58,9 @@ impl Stage {
             self.instances.push(layout::Instance {
                 world_from_object: world_from_object.to_cols_array_2d(),
                 normal_from_object: normals.to_cols_array_2d().map(|[x, y, z]| [x, y, z, 0.0]),
+                roughness: mesh.gloss.roughness,
+                // Of a real surface the colour is the video's, and this its reflectance straight on.
+                base_color: [mesh.gloss.reflectance; 3],
                 ..layout::Instance::zeroed()
             });
             let draw = Draw {
@@ -125,8 +134,13 @@ impl Renderer {
 
     /// Draws the place into the layer: what objects change of it, and nothing where they do not.
     pub(super) fn draw_place(&self, pass: &mut wgpu::RenderPass<'_>, kind: Kind, report: &mut FrameReport) {
-        let Some(pipeline) = self.pipelines.get(kind, Use::Place).filter(|_| kind.place) else { return };
+        let glossy = report.plan.place_mirrors;
+        let Some(pipeline) = self.pipelines.get(kind, Use::Place { glossy }).filter(|_| kind.place) else { return };
         pass.set_pipeline(pipeline);
+        self.draw_place_parts(pass, report);
+    }
+
+    pub(super) fn draw_place_parts(&self, pass: &mut wgpu::RenderPass<'_>, report: &mut FrameReport) {
         for (draw, _) in &self.stage.place.draws {
             if let Some(Ok(model)) = self.models.get(&draw.geometry)
                 && let Some(part) = model.parts.get(draw.part)

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use base64::Engine as _;
 use glam::{Quat, Vec3};
 use mr360_protocol::asset::AssetId;
-use mr360_protocol::scene::{PlaceMesh, Scene, Shape, Transform};
+use mr360_protocol::scene::{Gloss, PlaceMesh, Scene, Shape, Transform};
 
 use super::shadow_tests::{Eye, GROUND_Y, RAYS, Solid, light, seen_of_light, towards};
 use super::*;
@@ -35,17 +35,17 @@ fn cube() -> Arc<Model> {
     Arc::new(Model::parse(json.as_bytes()).unwrap())
 }
 
-fn block(center: Vec3, half: Vec3) -> Solid {
+pub(super) fn block(center: Vec3, half: Vec3) -> Solid {
     Solid::Block { center, half }
 }
 
 /// A scene with real blocks, and the model that they are made of.
-fn scene(objects: &[Solid], real: &[(Solid, bool)]) -> (Scene, crate::render::Models) {
+pub(super) fn scene(objects: &[Solid], real: &[(Solid, bool)]) -> (Scene, crate::render::Models) {
     let id = AssetId::of(b"cube");
     let mesh = |(solid, casts_shadows): &(Solid, bool)| {
         let Solid::Block { center, half } = *solid else { panic!("the place is of blocks here") };
         let transform = Transform { position: center, rotation: Quat::IDENTITY, scale: half * 2.0 };
-        PlaceMesh { model: id, transform, casts_shadows: *casts_shadows }
+        PlaceMesh { model: id, transform, casts_shadows: *casts_shadows, gloss: Gloss::MATT }
     };
     let objects = (1..).zip(objects).map(|(id, solid)| solid.object(id)).collect();
     let scene = Scene { ground_y: GROUND_Y, objects, place: real.iter().map(mesh).collect(), ..Scene::default() };

@@ -30,6 +30,10 @@ pub struct Plan {
     pub samples: u32,
     /// Something is of glass and is drawn after all else, which it shows.
     pub glass: bool,
+    /// Glossy ground mirrors the objects: they are drawn once more, as it shows them.
+    pub ground_mirrors: bool,
+    /// Some glossy mesh of the place mirrors the objects.
+    pub place_mirrors: bool,
 }
 
 /// What the plan asks of the scene.
@@ -43,6 +47,10 @@ pub struct SceneNeeds {
     pub beneath_ground: bool,
     /// Some surface is glass.
     pub glass: bool,
+    /// The ground mirrors objects.
+    pub glossy_ground: bool,
+    /// Some mesh of the place mirrors objects.
+    pub glossy_place: bool,
 }
 
 impl Plan {
@@ -50,7 +58,7 @@ impl Plan {
     #[must_use]
     pub fn new(scene: SceneNeeds, light: &FrameLight) -> Self {
         if scene.objects == 0 {
-            return Self::default();
+            return Self { place_mirrors: scene.glossy_place, ..Self::default() }.within(Tier::FULL);
         }
         let ambient = luminance(light.sh[0]).max(0.0) * 0.282_094_8 * std::f32::consts::PI;
         let shares: Vec<f32> = light.lights.iter().map(|light| luminance(light.irradiance).max(0.0)).collect();
@@ -58,10 +66,13 @@ impl Plan {
         let shadows = shares.iter().take(MAX_SHADOWS).take_while(|share| **share > 0.0 && **share >= SHADOW_SHARE * total).count();
         let all = Self {
             objects: true,
-            reflections: scene.reflective,
+            // What a glossy real surface shows of the panorama gives way to what it shows of an object.
+            reflections: scene.reflective || scene.glossy_ground || scene.glossy_place,
             shadows,
             ground_hides: scene.beneath_ground,
             glass: scene.glass,
+            ground_mirrors: scene.glossy_ground,
+            place_mirrors: scene.glossy_place,
             ..Self::default()
         };
         all.within(Tier::FULL)
@@ -77,6 +88,8 @@ impl Plan {
             reflections_every: if self.reflections { limits.reflections_every } else { 0 },
             occlusion: self.objects && limits.occlusion,
             samples: if self.objects { samples } else { 0 },
+            ground_mirrors: self.ground_mirrors && limits.mirrors,
+            place_mirrors: self.place_mirrors && limits.mirrors,
             ..self
         }
     }
@@ -117,6 +130,11 @@ mod tests {
         assert_eq!(Plan::new(mirror, &light(&[])), mirrored);
         let glass = SceneNeeds { glass: true, ..mirror };
         assert_eq!(Plan::new(glass, &light(&[])), Plan { glass: true, ..mirrored });
+        let wet = SceneNeeds { glossy_ground: true, ..needs };
+        assert_eq!(Plan::new(wet, &light(&[])), Plan { ground_mirrors: true, ..mirrored });
+        let table = SceneNeeds { glossy_place: true, ..needs };
+        assert_eq!(Plan::new(table, &light(&[])), Plan { place_mirrors: true, ..mirrored });
+        assert_eq!(Plan::new(SceneNeeds { glossy_ground: true, ..SceneNeeds::default() }, &light(&[])), Plan::default());
         assert_eq!(Plan::new(SceneNeeds::default(), &light(&[5.0])), Plan::default());
     }
 
@@ -130,6 +148,9 @@ mod tests {
             (1, true, 4, false, 1)
         );
         assert_eq!(Plan::new(SceneNeeds::default(), &light(&[5.0])).within(Tier::LOWEST), Plan::default());
+        let wet = Plan::new(SceneNeeds { glossy_ground: true, glossy_place: true, ..needs }, &light(&[]));
+        let lowest = wet.within(Tier::LOWEST);
+        assert!(wet.ground_mirrors && wet.place_mirrors && !lowest.ground_mirrors && !lowest.place_mirrors);
         assert_eq!(Plan::new(SceneNeeds { reflective: false, ..needs }, &light(&[])).within(Tier::LOWEST).shadows, 0);
     }
 

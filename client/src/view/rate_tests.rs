@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 use mr360_protocol::light::{Lift, LightFrame};
-use mr360_protocol::scene::{Geometry, Material, MaterialKind, Object, PlaceMesh, Scene, Shape, Transform};
+use mr360_protocol::scene::{Geometry, Gloss, Material, MaterialKind, Object, PlaceMesh, Scene, Shape, Transform};
 
 use super::tests::{SIZE, ball, camera, diffuse, draw, gradient, mirror, object, panorama, pixel_of, scene, sun};
 use super::*;
@@ -156,8 +156,14 @@ fn every_pass_of_every_view_has_a_column() {
         object(2, Shape::Sphere, Vec3::new(1.0, -1.1, -3.5), 1.0, glass),
         Object { geometry: Geometry::Model(id), material: None, ..object(3, Shape::Cube, Vec3::new(0.0, 0.0, -6.0), 1.0, mirror()) },
     ];
-    let place = vec![PlaceMesh { model: id, transform: Transform::default(), casts_shadows: true }];
-    assert!(renderer.set_scene(&gpu, &Scene { place, ..scene(objects) }, &|_| Some(Ok(Arc::clone(&moving)))).is_empty());
+    let place = vec![PlaceMesh { model: id, transform: Transform::default(), casts_shadows: true, gloss: Gloss::MATT }];
+    assert!(
+        renderer
+            .set_scene(&gpu, &Scene { place, ground: Gloss { roughness: 0.2, reflectance: 0.04 }, ..scene(objects) }, &|_| Some(Ok(
+                Arc::clone(&moving)
+            )))
+            .is_empty()
+    );
     let offscreen = crate::headless::Offscreen::new(&gpu.device, &gpu.queue, 32, 32);
     let target = offscreen.target();
     let mut seen = Vec::new();

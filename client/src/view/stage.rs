@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use glam::{Mat4, Vec3};
 use mr360_protocol::asset::AssetId;
-use mr360_protocol::scene::{Geometry, Material, MaterialKind, Object, ObjectId, Scene, Transform};
+use mr360_protocol::scene::{Geometry, Gloss, Material, MaterialKind, Object, ObjectId, Scene, Transform};
 use mr360_shaders::layout::{self, MAX_OCCLUDERS};
 use mr360_shaders::source::{Alpha, OCCLUDER_REACH, Surface};
 
@@ -13,7 +13,7 @@ use super::local::{casts, is_local};
 use super::material::Look;
 use super::models::{GpuModel, GpuPart, Models, reflectance};
 use super::moving::{Slot, matrices};
-use super::place::Place;
+use super::place::{Place, is_glossy};
 use super::plan::{SceneNeeds, reflects};
 use super::poses::MAX_POSED_VERTICES;
 use super::shadows::ground_shadow;
@@ -132,6 +132,7 @@ pub(super) struct Stage {
     pub(super) animated: Vec<(Geometry, usize, Bounds)>,
     pub(super) needs: SceneNeeds,
     pub(super) ground_y: f32,
+    pub(super) ground_gloss: Gloss,
     pub(super) triangles: u64,
     pub(super) place: Place,
 }
@@ -176,7 +177,8 @@ impl Stage {
             (geometry_key(&p.object.geometry), p.animation, p.object.material.as_ref().map(surface_of), casts(p.object.id))
         };
         placed.sort_by_key(key);
-        let mut stage = Self { ground_y: scene.ground_y, ..Self::default() };
+        let mut stage = Self { ground_y: scene.ground_y, ground_gloss: scene.ground, ..Self::default() };
+        stage.needs.glossy_ground = is_glossy(scene.ground);
         for run in placed.chunk_by(|a, b| key(a) == key(b)) {
             stage.add_run(run);
         }
@@ -261,6 +263,11 @@ impl Stage {
         }
     }
 
+    /// How high over the ground objects reach, metres.
+    pub(super) fn highest(&self) -> f32 {
+        self.casters.iter().map(|caster| caster.max.y - self.ground_y).fold(0.0, f32::max)
+    }
+
     /// A millimetre: what stands on the ground by its bounds does not reach beneath it.
     pub(super) fn is_beneath(&self, world: &Bounds) -> bool {
         world.min.y < self.ground_y - 1e-3
@@ -275,8 +282,8 @@ impl Stage {
     }
 
     /// The part of the ground, in x and z, that objects can change under this light: their occluders' reach and
-    /// the shadows of the first `shadows` lights.
-    pub(super) fn changed_ground(&self, light: &FrameLight, shadows: usize) -> Option<Bounds> {
+    /// the shadows of the first `shadows` lights; and on which `eyes` see them mirrored.
+    pub(super) fn changed_ground(&self, light: &FrameLight, shadows: usize, eyes: &[Vec3]) -> Option<Bounds> {
         let mut changed: Option<Bounds> = None;
         let mut add = |bounds: Bounds| changed = Some(changed.map_or(bounds, |all| all.including(bounds.min).including(bounds.max)));
         for occluder in &self.occluders {
@@ -287,6 +294,7 @@ impl Stage {
                 add(Bounds { min: center - across, max: center + across });
             }
         }
+        eyes.iter().filter_map(|eye| self.mirrored_ground(*eye)).for_each(&mut add);
         for light in light.lights.iter().take(shadows) {
             let tan_radius = tan_radius(light.solid_angle_sr);
             for caster in &self.casters {

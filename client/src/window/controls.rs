@@ -458,7 +458,9 @@ mod tests {
         stand.release();
         for (notches, deg) in [(1e9, 30.0), (-1e9, 110.0), (f32::NAN, 110.0)] {
             (0..4).for_each(|_| stand.controls.wheel(notches, stand.now));
-            assert!((stand.controls.camera().fov_y_rad.to_degrees() - deg).abs() < 1e-3);
+            let fov = crate::camera::FieldOfView::Vertical(stand.controls.fov_y_rad);
+            assert_eq!(stand.controls.camera().fov, fov);
+            assert!((stand.controls.fov_y_rad.to_degrees() - deg).abs() < 1e-3);
         }
         (0..3).for_each(|_| stand.controls.raise(true));
         assert!((stand.controls.camera().position.y - 0.3).abs() < 1e-6);

@@ -53,7 +53,8 @@ fn every_range_is_guarded() {
 
 #[test]
 fn the_place_is_bounded_and_its_models_are_assets() {
-    let mesh = |name: &[u8]| PlaceMesh { model: AssetId::of(name), transform: Transform::default(), casts_shadows: true };
+    let mesh =
+        |name: &[u8]| PlaceMesh { model: AssetId::of(name), transform: Transform::default(), casts_shadows: true, gloss: Gloss::MATT };
     let scene = Scene { place: vec![mesh(b"room"), mesh(b"table"), mesh(b"room")], ..Scene::default() };
     assert_eq!(scene.assets().len(), 2);
     let wire = SceneMessage::Snapshot(scene.clone()).to_wire().unwrap();
@@ -62,6 +63,11 @@ fn the_place_is_bounded_and_its_models_are_assets() {
     assert!(refused(vec![mesh(b"room"); MAX_PLACE_MESHES + 1]).contains("place"));
     let far = Transform { position: Vec3::splat(f32::INFINITY), ..Transform::default() };
     assert!(refused(vec![PlaceMesh { transform: far, ..mesh(b"room") }]).contains("position"));
+    let rough = Gloss { roughness: 1.1, ..Gloss::MATT };
+    let bright = Gloss { reflectance: f32::NAN, ..Gloss::MATT };
+    assert!(refused(vec![PlaceMesh { gloss: rough, ..mesh(b"room") }]).contains("roughness"));
+    let ground = |ground| SceneMessage::Snapshot(Scene { ground, ..Scene::default() }).to_wire().unwrap_err().to_string();
+    assert!(ground(rough).contains("roughness") && ground(bright).contains("reflectance"));
 }
 
 #[test]
@@ -86,7 +92,7 @@ fn a_full_scene_fits_a_message() {
         animation: Playback::Named("a".repeat(MAX_ANIMATION_BYTES)),
         ..object(id)
     });
-    let mesh = PlaceMesh { model: AssetId::of(b"room"), transform: Transform::default(), casts_shadows: true };
+    let mesh = PlaceMesh { model: AssetId::of(b"room"), transform: Transform::default(), casts_shadows: true, gloss: Gloss::MATT };
     let place = vec![mesh; MAX_PLACE_MESHES];
     let item = LibraryItem { name: "ä".repeat(MAX_NAME_CHARS), ..LibraryItem::shapes()[0].clone() };
     let library = vec![item; MAX_LIBRARY];

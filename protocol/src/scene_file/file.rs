@@ -5,12 +5,13 @@ use std::path::PathBuf;
 use glam::Vec3;
 use serde::Deserialize;
 
-use crate::scene::{Material, MaterialKind, Shape};
+use crate::scene::{Gloss, Material, MaterialKind, Shape};
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct FileScene {
     pub(super) ground_y: f32,
+    pub(super) ground: Option<FileGloss>,
     #[serde(default, rename = "object")]
     pub(super) objects: Vec<FileObject>,
     #[serde(default)]
@@ -55,6 +56,25 @@ pub(super) struct FilePlaceMesh {
     pub(super) scale: FileScale,
     #[serde(default = "yes")]
     pub(super) casts_shadows: bool,
+    pub(super) gloss: Option<FileGloss>,
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct FileGloss {
+    roughness: f32,
+    #[serde(default = "dielectric")]
+    reflectance: f32,
+}
+
+fn dielectric() -> f32 {
+    Gloss::DIELECTRIC
+}
+
+impl From<FileGloss> for Gloss {
+    fn from(file: FileGloss) -> Self {
+        Self { roughness: file.roughness, reflectance: file.reflectance }
+    }
 }
 
 fn yes() -> bool {

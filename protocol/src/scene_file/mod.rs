@@ -2,6 +2,7 @@
 //!
 //! ```toml
 //! ground_y = -1.6                 # height of the ground plane; the camera is at 0
+//! ground = { roughness = 0.2 }    # how it mirrors objects; reflectance = 0.04 unless given; without it not at all
 //! [[object]]
 //! shape = "sphere"                # or "cube", "cylinder", "plane"; or model = "file.glb"
 //! position = [0.0, -1.1, -3.0]    # metres
@@ -13,6 +14,7 @@
 //! [[place]]
 //! model = "room.glb"              # of the real place: catches shadows and hides what is behind it
 //! casts_shadows = true            # false for what holds the lights, or lies beyond them
+//! gloss = { roughness = 0.2 }     # as the ground's
 //! [[library]]                     # what users may add; without any, one of each shape
 //! name = "chair"                  # shape or model, scale, material and physics as for objects
 //! model = "chair.glb"
@@ -30,10 +32,10 @@ use glam::{EulerRot, Quat, Vec3};
 use crate::asset::{AssetId, MAX_ASSETS};
 use crate::codec::{WireError, ensure_in_range};
 use crate::scene::{
-    Geometry, LibraryItem, MAX_LIBRARY, MAX_OBJECTS, MAX_PLACE_MESHES, Material, Object, ObjectId, PlaceMesh, Playback, Scene, Shape,
-    Transform,
+    Geometry, Gloss, LibraryItem, MAX_LIBRARY, MAX_OBJECTS, MAX_PLACE_MESHES, Material, Object, ObjectId, PlaceMesh, Playback, Scene,
+    Shape, Transform,
 };
-use file::{FileItem, FileMaterial, FileObject, FilePhysics, FileScale, FileScene};
+use file::{FileItem, FileMaterial, FileObject, FilePhysics, FilePlaceMesh, FileScale, FileScene};
 
 /// What a scene file calls a model that stays at rest.
 pub const NO_ANIMATION: &str = "none";
@@ -105,10 +107,19 @@ pub enum SceneFileError {
 pub struct SceneFile {
     path: PathBuf,
     ground_y: f32,
+    ground: Gloss,
     objects: Vec<Checked>,
-    /// Model, transform, and whether it casts shadows.
-    place: Vec<(PathBuf, Transform, bool)>,
+    place: Vec<CheckedPlace>,
     library: Option<Vec<CheckedItem>>,
+}
+
+/// A mesh of the place that is within bounds.
+#[derive(Debug, Clone, PartialEq)]
+struct CheckedPlace {
+    model: PathBuf,
+    transform: Transform,
+    casts_shadows: bool,
+    gloss: Gloss,
 }
 
 /// An object that is within bounds.
@@ -189,16 +200,12 @@ impl SceneFile {
         };
         let library = file.library.map(|items| check_items(items).collect::<Result<Vec<_>, _>>()).transpose()?;
         let place = (1..).zip(file.place).map(|(index, mesh)| -> Result<_, SceneFileError> {
-            let transform = transform(mesh.position, mesh.rotation_deg, mesh.scale).map_err(|fault| SceneFileError::Place {
-                path: path.to_owned(),
-                index,
-                fault,
-            })?;
-            Ok((folder.join(mesh.model), transform, mesh.casts_shadows))
+            check_place(mesh, folder).map_err(|fault| SceneFileError::Place { path: path.to_owned(), index, fault })
         });
         let place = place.collect::<Result<Vec<_>, _>>()?;
-        let scene = Self { path: path.to_owned(), ground_y: file.ground_y, objects, place, library };
-        let bounds = Scene { ground_y: scene.ground_y, ..Scene::default() }.validate("scene file");
+        let ground = file.ground.map(Gloss::from).unwrap_or_default();
+        let scene = Self { path: path.to_owned(), ground_y: file.ground_y, ground, objects, place, library };
+        let bounds = Scene { ground_y: scene.ground_y, ground, ..Scene::default() }.validate("scene file");
         bounds.map_err(|error| SceneFileError::Scene { path: path.to_owned(), fault: fault(&error) })?;
         if scene.models().len() > MAX_ASSETS {
             return Err(SceneFileError::Scene {
@@ -219,7 +226,7 @@ impl SceneFile {
                 FileGeometry::Model(path) => Some(path.as_path()),
                 FileGeometry::Shape(_) => None,
             })
-            .chain(self.place.iter().map(|(model, ..)| model.as_path()))
+            .chain(self.place.iter().map(|mesh| mesh.model.as_path()))
             .collect();
         models.sort_unstable();
         models.dedup();
@@ -256,7 +263,7 @@ impl SceneFile {
             known.insert(model, asset);
             Ok(asset)
         };
-        let mut scene = Scene { ground_y: self.ground_y, ..Scene::default() };
+        let mut scene = Scene { ground_y: self.ground_y, ground: self.ground, ..Scene::default() };
         for (id, object) in (1..).zip(&self.objects) {
             let geometry = object.geometry.resolve(&mut asset_once).map_err(|fault| SceneFileError::Object {
                 path: self.path.clone(),
@@ -266,9 +273,10 @@ impl SceneFile {
             let Checked { transform, material, animation, .. } = object.clone();
             scene.objects.push(Object { id: ObjectId(id), geometry, transform, material, animation });
         }
-        for (index, (model, transform, casts_shadows)) in (1..).zip(&self.place) {
-            let model = asset_once(model).map_err(|fault| SceneFileError::Place { path: self.path.clone(), index, fault })?;
-            scene.place.push(PlaceMesh { model, transform: *transform, casts_shadows: *casts_shadows });
+        for (index, mesh) in (1..).zip(&self.place) {
+            let CheckedPlace { transform, casts_shadows, gloss, .. } = *mesh;
+            let model = asset_once(&mesh.model).map_err(|fault| SceneFileError::Place { path: self.path.clone(), index, fault })?;
+            scene.place.push(PlaceMesh { model, transform, casts_shadows, gloss });
         }
         if let Some(items) = &self.library {
             let resolved = (1..).zip(items).map(|(index, item)| -> Result<_, SceneFileError> {
@@ -306,6 +314,13 @@ impl FileGeometry {
             Self::Model(model) => asset(model).map(Geometry::Model),
         }
     }
+}
+
+fn check_place(mesh: FilePlaceMesh, folder: &Path) -> Result<CheckedPlace, String> {
+    let transform = transform(mesh.position, mesh.rotation_deg, mesh.scale)?;
+    let gloss = mesh.gloss.map(Gloss::from).unwrap_or_default();
+    gloss.validate("scene file").map_err(|error| fault(&error))?;
+    Ok(CheckedPlace { model: folder.join(mesh.model), transform, casts_shadows: mesh.casts_shadows, gloss })
 }
 
 fn check(object: FileObject, folder: &Path) -> Result<Checked, String> {

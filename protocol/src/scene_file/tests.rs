@@ -102,6 +102,7 @@ fn the_place_reads_as_written_and_its_faults_are_named() {
     let file = file.unwrap();
     assert_eq!(file.models(), [Path::new("stage/lamp.glb"), Path::new("stage/room.glb")]);
     let scene = file.resolve(|path| Ok::<_, String>(AssetId::of(path.as_os_str().as_encoded_bytes()))).unwrap();
+    assert_eq!((scene.ground, scene.place[0].gloss), (Gloss::MATT, Gloss::MATT));
     assert_eq!((scene.place[0].transform.position, scene.place[0].casts_shadows, scene.place[1].casts_shadows), (Vec3::X, true, false));
     let error = file.resolve(|_| Err::<AssetId, _>("no such file")).unwrap_err().to_string();
     assert!(error.contains("place 1") && error.contains("stage/room.glb"), "{error}");
@@ -109,6 +110,10 @@ fn the_place_reads_as_written_and_its_faults_are_named() {
     for (text, names) in [
         ("ground_y = 0.0\n[[place]]".to_owned(), "model"),
         (format!("{mesh}roughness = 1.0"), "roughness"),
+        (format!("{mesh}gloss = {{ roughness = 2.0 }}"), "roughness"),
+        (format!("{mesh}gloss = {{ reflectance = 0.1 }}"), "roughness"),
+        ("ground_y = 0.0\nground = { roughness = 0.1, reflectance = -1.0 }".to_owned(), "reflectance"),
+        ("ground_y = 0.0\nground = { roughness = 0.1, shine = 1.0 }".to_owned(), "shine"),
         (format!("{mesh}scale = -1.0"), "scale"),
         (format!("{mesh}rotation_deg = [nan, 0.0, 0.0]"), "rotation_deg"),
         (format!("ground_y = 0.0\n{}", "[[place]]\nmodel = \"room.glb\"\n".repeat(17)), "17 place meshes"),
@@ -116,6 +121,16 @@ fn the_place_reads_as_written_and_its_faults_are_named() {
         let error = parse(&text).unwrap_err().to_string();
         assert!(error.contains(names) && error.contains("stage/SCENE.toml"), "{text:?} gave {error}");
     }
+}
+
+#[test]
+fn what_mirrors_reads_as_written() {
+    let file = parse(
+        "ground_y = 0.0\nground = { roughness = 0.25 }\n[[place]]\nmodel = \"a.glb\"\ngloss = { roughness = 0.5, reflectance = 0.1 }",
+    );
+    let scene = file.unwrap().resolve(|_| Ok::<_, String>(AssetId::of(b"a"))).unwrap();
+    assert_eq!(scene.ground, Gloss { roughness: 0.25, reflectance: Gloss::DIELECTRIC });
+    assert_eq!(scene.place[0].gloss, Gloss { roughness: 0.5, reflectance: 0.1 });
 }
 
 #[test]

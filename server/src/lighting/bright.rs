@@ -7,11 +7,12 @@ use std::f64::consts::PI;
 
 use glam::{DVec3, Vec3};
 use mr360_shaders::colour::LUMA;
+use pulp::Arch;
 
-use super::candidates::{Candidate, Candidates, half_angle};
+use super::candidates::{Candidate, Excess, half_angle};
 use super::clipped::{Clipped, INSIDE, likely_share};
 use super::panorama::Panorama;
-use super::regions::Regions;
+use super::regions::{Regions, contain};
 use super::track::{MOST_OBSERVATIONS, Observation};
 
 /// A region is left to its clipped parts when they make up more than this share of it.
@@ -29,6 +30,8 @@ pub(super) struct Scene<'a> {
     pub(super) clipped: Option<&'a [f32]>,
     /// What exceeds this luminance is light.
     pub(super) threshold: f32,
+    /// Mean luminance of the upper hemisphere.
+    pub(super) mean: f64,
     /// Luminance times solid angle of the upper hemisphere.
     pub(super) energy: f64,
     /// Colour of what recovery adds, of luminance 1.
@@ -69,7 +72,7 @@ impl Bright {
             if rest.strength <= 0.0 || rest.strength < (1.0 - MOSTLY) * candidate.strength {
                 continue;
             }
-            let direction = scene.core(&rest, |texel| scene.is_clipped(texel));
+            let direction = scene.excess(scene.clipped).core(&rest);
             let (hidden, of_channels) = scene.hidden(&rest);
             let mut source = Source { candidate: *candidate, rest, direction, irradiance: rest.irradiance, hidden };
             let change = pooled * of_channels;
@@ -91,12 +94,12 @@ impl Bright {
         let of_clipped = observations.len();
         for source in &self.sources {
             let reach = source.rest.radius();
-            let members = Candidates::members(&source.rest, scene.regions);
-            let mut whole = source.observation(scene.sigma);
+            let (runs, width) = (scene.excess(None).runs(&source.rest), scene.panorama.size.width as usize);
+            let mut whole = source.observation(scene);
             let mut middle = DVec3::ZERO;
             for (part, texel) in observations[..of_clipped].iter_mut().zip(clipped.texels()) {
                 let near = (reach + half_angle(part.solid_angle_sr)).min(PI).cos();
-                if part.share > 0.0 && part.direction.dot(source.direction) > near && members.contains(&texel) {
+                if part.share > 0.0 && part.direction.dot(source.direction) > near && contain(runs, width, texel as usize) {
                     whole = joined(&whole, part);
                     middle += part.direction * strength(part);
                     part.share = 0.0;
@@ -106,7 +109,7 @@ impl Bright {
                 let of_parts = source.candidate.strength - source.rest.strength;
                 let is_core = of_parts >= CORE * source.candidate.strength;
                 let core = middle.try_normalize().filter(|_| is_core);
-                whole.direction = core.unwrap_or_else(|| scene.core(&source.candidate, |_| false));
+                whole.direction = core.unwrap_or_else(|| scene.excess(None).core(&source.candidate));
             }
             whole.share = likely_share(strength(&whole), scene.energy, whole.sigma);
             observations.push(whole);
@@ -117,20 +120,15 @@ impl Bright {
     }
 }
 
-impl Scene<'_> {
-    fn is_clipped(&self, texel: usize) -> bool {
-        self.clipped.is_some_and(|degree| degree[texel] > INSIDE)
-    }
-
-    fn core(&self, candidate: &Candidate, left_out: impl Fn(usize) -> bool) -> DVec3 {
-        Candidates::core(candidate, self.panorama, self.regions, LUMA, self.threshold, left_out)
+impl<'a> Scene<'a> {
+    /// What stands out, without what is clipped to a degree that is given.
+    fn excess(&self, clipped: Option<&'a [f32]>) -> Excess<'a> {
+        let left_out = clipped.map(|degree| (degree, INSIDE));
+        Excess { panorama: self.panorama, regions: self.regions, luma: LUMA, threshold: self.threshold, left_out, arch: Arch::new() }
     }
 
     fn rest(&self, candidate: &Candidate) -> Candidate {
-        match self.clipped {
-            Some(_) => Candidates::without(candidate, self.panorama, self.regions, LUMA, self.threshold, |texel| self.is_clipped(texel)),
-            None => *candidate,
-        }
+        if self.clipped.is_some() { self.excess(self.clipped).rest(candidate) } else { *candidate }
     }
 
     /// What recovery added to the rest of a candidate, which is what is above white; and what of that it added because single channels clip, which
@@ -139,7 +137,8 @@ impl Scene<'_> {
         let Some(degree) = self.clipped else { return (0.0, 0.0) };
         let width = self.panorama.size.width as usize;
         let (mut all, mut of_channels) = (0.0, 0.0);
-        for texel in Candidates::members(rest, self.regions).iter().map(|texel| *texel as usize).filter(|texel| !self.is_clipped(*texel)) {
+        let texels = self.excess(None).runs(rest).iter().flat_map(|run| run.texels(width));
+        for texel in texels.filter(|texel| degree[*texel] <= INSIDE) {
             let above = (self.panorama.radiance(texel).dot(LUMA) - self.threshold.max(1.0)).max(0.0);
             let added = f64::from(above * self.panorama.geometry.solid_angle_sr[texel / width]);
             all += added;
@@ -151,16 +150,17 @@ impl Scene<'_> {
 
 impl Source {
     /// Without its share.
-    fn observation(&self, sigma: f64) -> Observation {
+    fn observation(&self, scene: &Scene<'_>) -> Observation {
         let strength = self.irradiance.dot(LUMA.as_dvec3()).max(f64::MIN_POSITIVE);
         let hidden_share = (self.hidden / strength).min(1.0);
         Observation {
             direction: self.direction,
             irradiance: self.irradiance,
+            pedestal: self.rest.kept * (1.0 - scene.mean / f64::from(scene.threshold)).max(0.0),
             solid_angle_sr: self.rest.effective_solid_angle_sr(),
             share: 0.0,
             hidden_share,
-            sigma: sigma * hidden_share,
+            sigma: scene.sigma * hidden_share,
         }
     }
 }
@@ -178,6 +178,7 @@ fn joined(a: &Observation, b: &Observation) -> Observation {
     let concentration = of_a * of_a / a.solid_angle_sr + of_b * of_b / b.solid_angle_sr;
     Observation {
         irradiance: a.irradiance + b.irradiance,
+        pedestal: a.pedestal + b.pedestal,
         solid_angle_sr: sum * sum / concentration,
         hidden_share: mean(a.hidden_share, b.hidden_share),
         sigma: mean(a.sigma, b.sigma),

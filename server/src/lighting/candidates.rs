@@ -1,9 +1,11 @@
 //! Regions brighter than a threshold as candidates for lights, and what is left once the chosen ones are out.
 
 use glam::{DVec3, Vec3};
+use pulp::{Arch, Simd, WithSimd};
 
 use super::panorama::Panorama;
-use super::regions::Regions;
+use super::regions::{Regions, Run};
+use super::vectors::{load, vectors};
 
 /// A region's light before it is decided whether it becomes one.
 #[derive(Debug, Clone, Copy)]
@@ -13,6 +15,8 @@ pub(super) struct Candidate {
     pub(super) irradiance: DVec3,
     /// Luminance of that irradiance.
     pub(super) strength: f64,
+    /// What the same texels leave in the panorama.
+    pub(super) kept: DVec3,
     /// Strength-weighted sum of the texels' directions.
     pub(super) direction: DVec3,
     /// Strength-weighted sums of the texels' longitudes and latitudes.
@@ -42,8 +46,10 @@ pub(super) fn half_angle(solid_angle_sr: f64) -> f64 {
 
 /// Reach of a candidate's core in radii of its effective solid angle.
 const CORE_RADII: f64 = 2.0;
-/// Steps of the mean shift; each leaves a part of the way, and none of what matters after these.
+/// Most steps of the mean shift; each leaves a part of the way, and none of what matters after these.
 const SHIFTS: usize = 6;
+/// A step shorter than this, radians, is the last: a hundredth of what a light is held still to.
+const ARRIVED: f64 = 2e-5;
 
 /// The share of a pixel's radiance that stays in the panorama when its light is taken out: the minimum in
 /// Rhee et al. 2017, Eq. 4.
@@ -66,7 +72,8 @@ impl Candidates {
     /// Regions without any excess over the threshold are left out.
     pub(super) fn collect(&mut self, panorama: &Panorama, regions: &Regions, luma: Vec3, threshold: f32) {
         self.list.clear();
-        self.list.extend(regions.iter().enumerate().map(|(region, members)| measure(panorama, region, members.iter(), luma, threshold)));
+        let excess = Excess { panorama, regions, luma, threshold, left_out: None, arch: Arch::new() };
+        self.list.extend((0..regions.len()).map(|region| excess.measure(region)));
         self.list.retain(|candidate| candidate.strength > 0.0);
         self.list.sort_unstable_by(|a, b| b.strength.total_cmp(&a.strength));
     }
@@ -76,61 +83,11 @@ impl Candidates {
         &self.list
     }
 
-    /// A candidate without its texels of which `left_out` is true.
-    pub(super) fn without(
-        candidate: &Candidate,
-        panorama: &Panorama,
-        regions: &Regions,
-        luma: Vec3,
-        threshold: f32,
-        left_out: impl Fn(usize) -> bool,
-    ) -> Candidate {
-        let members = regions.members(candidate.region).iter().filter(|texel| !left_out(**texel as usize));
-        measure(panorama, candidate.region, members, luma, threshold)
-    }
-
-    /// The texels of a candidate's region.
-    pub(super) fn members<'a>(candidate: &Candidate, regions: &'a Regions) -> &'a [u32] {
-        regions.members(candidate.region)
-    }
-
-    /// Direction of a candidate's core, where shadows come from: the centroid of what lies within twice the radius of its effective solid angle,
-    /// found by mean shift from the centroid of all (Comaniciu & Meer 2002). An even disc is its own core; of a sun that runs together with a
-    /// bright cloud, or a lamp with a window, it is the sun or the lamp. The rest of the region's dipole stays in the SH. Texels of which
-    /// `left_out` is true have no say.
-    pub(super) fn core(
-        candidate: &Candidate,
-        panorama: &Panorama,
-        regions: &Regions,
-        luma: Vec3,
-        threshold: f32,
-        left_out: impl Fn(usize) -> bool,
-    ) -> DVec3 {
-        // Texels of one hemisphere cannot cancel out, except on its rim; straight up is as good as any then.
-        let mut core = candidate.direction.try_normalize().unwrap_or(DVec3::Y);
-        let radius = candidate.radius();
-        let width = panorama.size.width as usize;
-        let cosine = (CORE_RADII * radius).min(std::f64::consts::PI).cos() as f32;
-        for _ in 0..SHIFTS {
-            let (mut sum, towards) = (DVec3::ZERO, core.as_vec3());
-            for texel in regions.members(candidate.region) {
-                let texel = *texel as usize;
-                let direction = panorama.geometry.direction(texel / width, texel % width);
-                if direction.dot(towards) >= cosine && !left_out(texel) {
-                    let excess = (panorama.radiance(texel).dot(luma) - threshold).max(0.0);
-                    sum += direction.as_dvec3() * f64::from(excess * panorama.geometry.solid_angle_sr[texel / width]);
-                }
-            }
-            core = sum.try_normalize().unwrap_or(core);
-        }
-        core
-    }
-
     /// Takes the light of the first `chosen` candidates out of the panorama; all others stay in it.
     pub(super) fn take_out(&self, chosen: usize, panorama: &mut Panorama, regions: &Regions, luma: Vec3, threshold: f32) {
         for candidate in self.list.iter().take(chosen) {
-            for texel in regions.members(candidate.region) {
-                let texel = *texel as usize;
+            let width = panorama.size.width as usize;
+            for texel in regions.runs(candidate.region).iter().flat_map(|run| run.texels(width)) {
                 let radiance = panorama.radiance(texel);
                 panorama.set_radiance(texel, radiance * kept_share(radiance.dot(luma), threshold));
             }
@@ -138,37 +95,211 @@ impl Candidates {
     }
 }
 
-fn measure<'a>(panorama: &Panorama, region: usize, members: impl Iterator<Item = &'a u32>, luma: Vec3, threshold: f32) -> Candidate {
-    let mut sum = Candidate {
-        region,
-        irradiance: DVec3::ZERO,
-        strength: 0.0,
-        direction: DVec3::ZERO,
-        angles: (0.0, 0.0),
-        solid_angle_sr: 0.0,
-        concentration: 0.0,
-    };
-    let width = panorama.size.width as usize;
-    for texel in members {
-        let texel = *texel as usize;
-        let (row, column) = (texel / width, texel % width);
-        let radiance = panorama.radiance(texel);
-        let share = kept_share(radiance.dot(luma), threshold);
-        if share >= 1.0 {
-            continue;
-        }
-        let solid_angle_sr = f64::from(panorama.geometry.solid_angle_sr[row]);
-        let irradiance = (radiance - radiance * share).as_dvec3() * solid_angle_sr;
-        let strength = irradiance.dot(luma.as_dvec3());
-        sum.irradiance += irradiance;
-        sum.strength += strength;
-        sum.direction += strength * panorama.geometry.direction(row, column).as_dvec3();
-        sum.angles.0 += strength * f64::from(panorama.geometry.longitude[column]);
-        sum.angles.1 += strength * f64::from(panorama.geometry.latitude[row]);
-        sum.solid_angle_sr += solid_angle_sr;
-        sum.concentration += strength * strength / solid_angle_sr;
+/// What candidates are parts of: the light above a threshold.
+#[derive(Clone, Copy)]
+pub(super) struct Excess<'a> {
+    pub(super) panorama: &'a Panorama,
+    /// Above the threshold.
+    pub(super) regions: &'a Regions,
+    pub(super) luma: Vec3,
+    pub(super) threshold: f32,
+    /// Texels whose value exceeds the number have no say.
+    pub(super) left_out: Option<(&'a [f32], f32)>,
+    pub(super) arch: Arch,
+}
+
+impl<'a> Excess<'a> {
+    /// A region of it, without what is left out: Eq. 4 of Rhee et al. 2017.
+    fn measure(&self, region: usize) -> Candidate {
+        self.arch.dispatch(Measure { excess: self, region })
     }
-    sum
+
+    /// A candidate without what is left out.
+    pub(super) fn rest(&self, candidate: &Candidate) -> Candidate {
+        self.measure(candidate.region)
+    }
+
+    /// The runs of a candidate's region.
+    pub(super) fn runs(&self, candidate: &Candidate) -> &'a [Run] {
+        self.regions.runs(candidate.region)
+    }
+
+    /// Direction of a candidate's core, where shadows come from: the centroid of what lies within twice the radius of its effective solid angle,
+    /// found by mean shift from the centroid of all (Comaniciu & Meer 2002). An even disc is its own core; of a sun that runs together with a
+    /// bright cloud, or a lamp with a window, it is the sun or the lamp. The rest of the region's dipole stays in the SH.
+    pub(super) fn core(&self, candidate: &Candidate) -> DVec3 {
+        // Texels of one hemisphere cannot cancel out, except on its rim; straight up is as good as any then.
+        let mut core = candidate.direction.try_normalize().unwrap_or(DVec3::Y);
+        let cosine = (CORE_RADII * candidate.radius()).min(std::f64::consts::PI).cos() as f32;
+        for _ in 0..SHIFTS {
+            let shifted = self.arch.dispatch(Centroid { excess: self, region: candidate.region, towards: core.as_vec3(), cosine });
+            let before = core;
+            core = shifted.try_normalize().unwrap_or(core);
+            if before.distance_squared(core) < ARRIVED * ARRIVED {
+                break;
+            }
+        }
+        core
+    }
+}
+
+/// What `left_out` says of a run's texels.
+#[inline(always)]
+fn of_run<'a>(left_out: Option<(&'a [f32], f32)>, texels: &std::ops::Range<usize>) -> Option<(&'a [f32], f32)> {
+    left_out.map(|(values, most)| (&values[texels.clone()], most))
+}
+
+/// [`Excess::measure`] for whatever vectors there are.
+struct Measure<'a> {
+    excess: &'a Excess<'a>,
+    region: usize,
+}
+
+impl WithSimd for Measure<'_> {
+    type Output = Candidate;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> Candidate {
+        let Excess { panorama, regions, luma, threshold, left_out, .. } = *self.excess;
+        let geometry = &panorama.geometry;
+        let mut sum = Candidate {
+            region: self.region,
+            irradiance: DVec3::ZERO,
+            strength: 0.0,
+            kept: DVec3::ZERO,
+            direction: DVec3::ZERO,
+            angles: (0.0, 0.0),
+            solid_angle_sr: 0.0,
+            concentration: 0.0,
+        };
+        let (zero, one, least) = (simd.splat_f32s(0.0), simd.splat_f32s(1.0), simd.splat_f32s(threshold));
+        let luma = [simd.splat_f32s(luma.x), simd.splat_f32s(luma.y), simd.splat_f32s(luma.z)];
+        for run in regions.runs(self.region) {
+            let (row, columns, texels) = (run.row as usize, run.columns(), run.texels(panorama.size.width as usize));
+            let channels = [0, 1, 2].map(|channel: usize| &panorama.channels[channel][texels.clone()]);
+            let [sines, cosines] = geometry.sin_cos_longitude.each_ref().map(|table| &table[columns.clone()]);
+            let longitudes = &geometry.longitude[columns.clone()];
+            let left_out = of_run(left_out, &texels);
+            let (mut irradiance, mut kept, mut moments, mut count, mut squares) = ([zero; 3], [zero; 3], [zero; 4], zero, zero);
+            for vector in 0..vectors::<S>(columns.len()) {
+                let radiance = [load(simd, channels[0], vector), load(simd, channels[1], vector), load(simd, channels[2], vector)];
+                let luminance = simd.add_f32s(
+                    simd.add_f32s(simd.mul_f32s(luma[0], radiance[0]), simd.mul_f32s(luma[1], radiance[1])),
+                    simd.mul_f32s(luma[2], radiance[2]),
+                );
+                // The share that stays in the panorama: the minimum in Eq. 4.
+                let mut stands_out = simd.greater_than_f32s(luminance, least);
+                if let Some((values, most)) = left_out {
+                    let counts = simd.less_than_or_equal_f32s(load(simd, values, vector), simd.splat_f32s(most));
+                    stands_out = simd.and_m32s(stands_out, counts);
+                }
+                let share = simd.select_f32s(stands_out, simd.div_f32s(least, luminance), zero);
+                let over = simd.select_f32s(stands_out, simd.sub_f32s(one, share), zero);
+                for channel in 0..3 {
+                    irradiance[channel] = simd.add_f32s(irradiance[channel], simd.mul_f32s(radiance[channel], over));
+                    kept[channel] = simd.add_f32s(kept[channel], simd.mul_f32s(radiance[channel], share));
+                }
+                let strength = simd.mul_f32s(luminance, over);
+                let tables = [one, load(simd, sines, vector), load(simd, cosines, vector), load(simd, longitudes, vector)];
+                for (moment, table) in moments.iter_mut().zip(tables) {
+                    *moment = simd.add_f32s(*moment, simd.mul_f32s(strength, table));
+                }
+                count = simd.add_f32s(count, simd.select_f32s(stands_out, one, zero));
+                squares = simd.add_f32s(squares, simd.mul_f32s(strength, strength));
+            }
+            let texel_sr = f64::from(geometry.solid_angle_sr[row]);
+            let mut total = [0.0; 12];
+            let all = [
+                irradiance[0],
+                irradiance[1],
+                irradiance[2],
+                kept[0],
+                kept[1],
+                kept[2],
+                moments[0],
+                moments[1],
+                moments[2],
+                moments[3],
+                count,
+                squares,
+            ];
+            for (total, sums) in total.iter_mut().zip(all) {
+                *total = f64::from(simd.reduce_sum_f32s(sums)) * texel_sr;
+            }
+            let [red, green, blue, kept_red, kept_green, kept_blue, strength, of_sine, of_cosine, of_longitude, solid_angle_sr, squares] =
+                total;
+            let (sine, cosine) = geometry.sin_cos_latitude[row];
+            sum.irradiance += DVec3::new(red, green, blue);
+            sum.kept += DVec3::new(kept_red, kept_green, kept_blue);
+            sum.strength += strength;
+            sum.direction += DVec3::new(f64::from(cosine) * of_sine, f64::from(sine) * strength, -f64::from(cosine) * of_cosine);
+            sum.angles.0 += of_longitude;
+            sum.angles.1 += strength * f64::from(geometry.latitude[row]);
+            sum.solid_angle_sr += solid_angle_sr;
+            // Strength² over solid angle.
+            sum.concentration += squares;
+        }
+        sum
+    }
+}
+
+/// The excess of a region within an angle of a direction, times its directions.
+struct Centroid<'a> {
+    excess: &'a Excess<'a>,
+    region: usize,
+    towards: Vec3,
+    /// Of the angle.
+    cosine: f32,
+}
+
+impl WithSimd for Centroid<'_> {
+    type Output = DVec3;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> DVec3 {
+        let Excess { panorama, regions, luma, threshold, left_out, .. } = *self.excess;
+        let geometry = &panorama.geometry;
+        let (zero, least, bound) = (simd.splat_f32s(0.0), simd.splat_f32s(threshold), simd.splat_f32s(self.cosine));
+        let luma = [simd.splat_f32s(luma.x), simd.splat_f32s(luma.y), simd.splat_f32s(luma.z)];
+        let mut sum = DVec3::ZERO;
+        for run in regions.runs(self.region) {
+            let (row, columns, texels) = (run.row as usize, run.columns(), run.texels(panorama.size.width as usize));
+            let channels = [0, 1, 2].map(|channel: usize| &panorama.channels[channel][texels.clone()]);
+            let [sines, cosines] = geometry.sin_cos_longitude.each_ref().map(|table| &table[columns.clone()]);
+            let left_out = of_run(left_out, &texels);
+            let (sine, cosine) = geometry.sin_cos_latitude[row];
+            // The cosine of the angle to a texel is that of its row, and what its column adds.
+            let across = [simd.splat_f32s(cosine * self.towards.x), simd.splat_f32s(-cosine * self.towards.z)];
+            let of_row = simd.splat_f32s(sine * self.towards.y);
+            let mut moments = [zero; 3];
+            for vector in 0..vectors::<S>(columns.len()) {
+                let luminance = simd.add_f32s(
+                    simd.add_f32s(
+                        simd.mul_f32s(luma[0], load(simd, channels[0], vector)),
+                        simd.mul_f32s(luma[1], load(simd, channels[1], vector)),
+                    ),
+                    simd.mul_f32s(luma[2], load(simd, channels[2], vector)),
+                );
+                let (of_sine, of_cosine) = (load(simd, sines, vector), load(simd, cosines, vector));
+                let near = simd.add_f32s(of_row, simd.add_f32s(simd.mul_f32s(across[0], of_sine), simd.mul_f32s(across[1], of_cosine)));
+                let mut counts = simd.and_m32s(simd.greater_than_or_equal_f32s(near, bound), simd.greater_than_f32s(luminance, least));
+                if let Some((values, most)) = left_out {
+                    let within = simd.less_than_or_equal_f32s(load(simd, values, vector), simd.splat_f32s(most));
+                    counts = simd.and_m32s(counts, within);
+                }
+                let excess = simd.select_f32s(counts, simd.sub_f32s(luminance, least), zero);
+                moments[0] = simd.add_f32s(moments[0], excess);
+                moments[1] = simd.add_f32s(moments[1], simd.mul_f32s(excess, of_sine));
+                moments[2] = simd.add_f32s(moments[2], simd.mul_f32s(excess, of_cosine));
+            }
+            let texel_sr = f64::from(geometry.solid_angle_sr[row]);
+            let all = f64::from(simd.reduce_sum_f32s(moments[0])) * texel_sr;
+            let of_sine = f64::from(simd.reduce_sum_f32s(moments[1])) * texel_sr;
+            let of_cosine = f64::from(simd.reduce_sum_f32s(moments[2])) * texel_sr;
+            sum += DVec3::new(f64::from(cosine) * of_sine, f64::from(sine) * all, -f64::from(cosine) * of_cosine);
+        }
+        sum
+    }
 }
 
 #[cfg(test)]
@@ -195,6 +326,7 @@ mod tests {
         candidates.collect(&panorama, &regions, Vec3::splat(1.0 / 3.0), 2.0);
         let [only] = candidates.list() else { panic!("{:?}", candidates.list()) };
         let texel_sr = f64::from(panorama.geometry.solid_angle_sr[1]);
+        assert!((only.kept / texel_sr - 2.0).abs().max_element() < 1e-6, "{only:?}");
         // Eq. 4: 3 − 3·min(1, 2/3), and the texel beside it adds neither light nor size.
         assert!((only.irradiance / texel_sr - 1.0).abs().max_element() < 1e-6, "{only:?}");
         assert!(

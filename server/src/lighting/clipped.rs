@@ -7,12 +7,14 @@
 //! direction of the strongest light from a median of 8° to 4°.
 
 use glam::{DVec3, Vec3};
-use mr360_shaders::colour::LUMA;
+use pulp::{Arch, Simd, WithSimd};
 
+use super::luminance;
 use super::panorama::Panorama;
 use super::recovery::Density;
-use super::regions::Regions;
+use super::regions::{Regions, Run};
 use super::track::{MOST_OBSERVATIONS, Observation};
+use super::vectors::{load, vectors};
 
 /// Texels clipped by more than this belong to a region with all that they hold, and say where it is by how much more.
 pub(super) const INSIDE: f32 = 0.8;
@@ -28,9 +30,9 @@ const SCORE: [f64; 3] = [0.1, 2.5, 14.0];
 /// good share what there is and neither pops.
 const TEMPERATURE: f64 = 0.05;
 
-/// Power of the density with which a texel draws its region's direction. Over 14 panoramas with a dominant light, four exposures each, that light
-/// is 5.4° off the centroid of its clipped region in the mean with 0, 4.8° with 4, 4.6° with 8; higher powers hang on single cells.
-const BROADEST: i32 = 4;
+/// The fourth power of the density draws a texel's region's direction. Over 14 panoramas with a dominant light, four exposures each, that light
+/// is 5.4° off the centroid of its clipped region in the mean with the power of 0, 4.8° with 4, 4.6° with 8; higher powers hang on single cells.
+///
 /// Regions larger than the first of these solid angles begin to be broad, and are from the second on: discs of 4.6° and 7.9°. The density is blurred
 /// over ±2.8° twice; of smaller regions it knows no more than their outline, and that less well.
 const BROAD_SR: [f64; 2] = [0.02, 0.06];
@@ -42,7 +44,7 @@ struct Region {
     texel: u32,
     irradiance: DVec3,
     strength: f64,
-    /// Sums of directions, by solid angle alone and by the density with which it is clipped.
+    /// Sums of directions, by solid angle alone and by the density with which it is clipped; the second of regions that begin to be broad.
     moment: DVec3,
     dense: DVec3,
     concentration: f64,
@@ -89,12 +91,14 @@ pub(super) struct Clipped {
     likelihood: Vec<f64>,
     /// Share of what recovery added that goes to the likeliest: [`POOLED`], and less where all regions are specks.
     pooled: f64,
+    /// Along a run.
+    density: Vec<f32>,
 }
 
 impl Clipped {
     /// Room for this many regions.
     pub(super) fn new(regions: usize) -> Self {
-        Self { list: Vec::with_capacity(regions), likelihood: Vec::with_capacity(regions), pooled: 0.0 }
+        Self { list: Vec::with_capacity(regions), likelihood: Vec::with_capacity(regions), pooled: 0.0, density: Vec::new() }
     }
 
     /// Forgets the last frame's regions.
@@ -107,7 +111,14 @@ impl Clipped {
     /// Measures the regions and finds out which is likely to hold the sun.
     pub(super) fn measure(&mut self, sky: &Sky<'_>, regions: &Regions) {
         self.clear();
-        self.list.extend(regions.iter().map(|members| measure(sky, members)));
+        let arch = Arch::new();
+        self.list.extend(regions.iter().map(|runs| {
+            let mut region = arch.dispatch(Measure { sky, runs });
+            if region.solid_angle_sr > BROAD_SR[0] {
+                arch.dispatch(Dense { sky, runs, region: &mut region, density: &mut self.density });
+            }
+            region
+        }));
         self.list.retain(|region| region.strength > 0.0);
         self.weigh();
     }
@@ -138,6 +149,8 @@ impl Clipped {
             Observation {
                 direction: region.direction(),
                 irradiance: region.irradiance,
+                // What stands out of the mean is all in the light.
+                pedestal: DVec3::ZERO,
                 solid_angle_sr: region.strength * region.strength / region.concentration,
                 share: likely_share(region.strength, sky.energy, sigma),
                 hidden_share,
@@ -172,45 +185,126 @@ pub(super) fn likely_share(strength: f64, energy: f64, sigma: f64) -> f64 {
 }
 
 /// What stands out of the mean in one region.
-fn measure(sky: &Sky<'_>, members: &[u32]) -> Region {
-    let mut sum = Region {
-        texel: members.first().copied().unwrap_or_default(),
-        irradiance: DVec3::ZERO,
-        strength: 0.0,
-        moment: DVec3::ZERO,
-        dense: DVec3::ZERO,
-        concentration: 0.0,
-        solid_angle_sr: 0.0,
-        hidden: 0.0,
-    };
-    let width = sky.panorama.size.width as usize;
-    for texel in members {
-        let texel = *texel as usize;
-        let radiance = sky.panorama.radiance(texel);
-        let luminance = radiance.dot(LUMA);
-        // Never nothing, or a region on the brink of clipping would be nowhere.
-        let inside = smooth(((sky.clipped[texel] - INSIDE) / (1.0 - INSIDE)).clamp(0.0, 1.0)).max(1e-3);
-        let excess = (1.0 - sky.mean / f64::from(luminance).max(f64::MIN_POSITIVE)).max(0.0);
-        let (row, column) = (texel / width, texel % width);
-        let solid_angle_sr = f64::from(sky.panorama.geometry.solid_angle_sr[row]);
-        let strength = f64::from(luminance) * excess * solid_angle_sr;
-        sum.irradiance += radiance.as_dvec3() * (excess * solid_angle_sr);
-        sum.strength += strength;
-        // Where a region is brightest is a guess; where it is, is seen, and that a sun has the broadest part of its glare around it.
-        let inside_sr = solid_angle_sr * f64::from(inside);
-        let direction = sky.panorama.geometry.direction(row, column).as_dvec3() * inside_sr;
-        sum.moment += direction;
-        sum.dense += direction * f64::from(sky.density.at(row, column)).powi(BROADEST);
-        sum.concentration += strength * f64::from(luminance) * excess;
-        sum.solid_angle_sr += inside_sr;
-        // What is shown is white at most.
-        sum.hidden += f64::from((luminance - 1.0).max(0.0)) * solid_angle_sr;
-    }
-    sum.hidden = sum.hidden.min(sum.strength);
-    sum
+struct Measure<'a> {
+    sky: &'a Sky<'a>,
+    runs: &'a [Run],
 }
 
-/// Rises from 0 to 1 with `t`, without a kink at either end.
-fn smooth(t: f32) -> f32 {
-    t * t * (3.0 - 2.0 * t)
+impl WithSimd for Measure<'_> {
+    type Output = Region;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> Region {
+        let Sky { panorama, clipped, mean, .. } = *self.sky;
+        let (geometry, width) = (&panorama.geometry, panorama.size.width as usize);
+        let mut sum = Region {
+            texel: self.runs.first().map_or(0, |run| run.texels(width).start as u32),
+            irradiance: DVec3::ZERO,
+            strength: 0.0,
+            moment: DVec3::ZERO,
+            dense: DVec3::ZERO,
+            concentration: 0.0,
+            solid_angle_sr: 0.0,
+            hidden: 0.0,
+        };
+        let (zero, one, mean) = (simd.splat_f32s(0.0), simd.splat_f32s(1.0), simd.splat_f32s(mean as f32));
+        for run in self.runs {
+            let (row, columns, texels) = (run.row as usize, run.columns(), run.texels(width));
+            let channels = [0, 1, 2].map(|channel: usize| &panorama.channels[channel][texels.clone()]);
+            let [sines, cosines] = geometry.sin_cos_longitude.each_ref().map(|table| &table[columns.clone()]);
+            let degree = &clipped[texels];
+            let (mut irradiance, mut of_inside, mut strength, mut squares, mut hidden) = ([zero; 3], [zero; 3], zero, zero, zero);
+            for vector in 0..vectors::<S>(columns.len()) {
+                let radiance = [load(simd, channels[0], vector), load(simd, channels[1], vector), load(simd, channels[2], vector)];
+                let luminance = luminance::of(simd, radiance[0], radiance[1], radiance[2]);
+                let share = simd.sub_f32s(one, simd.div_f32s(mean, simd.max_f32s(luminance, simd.splat_f32s(f32::MIN_POSITIVE))));
+                let share = simd.max_f32s(share, zero);
+                for channel in 0..3 {
+                    irradiance[channel] = simd.add_f32s(irradiance[channel], simd.mul_f32s(radiance[channel], share));
+                }
+                let excess = simd.mul_f32s(luminance, share);
+                strength = simd.add_f32s(strength, excess);
+                squares = simd.add_f32s(squares, simd.mul_f32s(excess, excess));
+                // What is shown is white at most.
+                hidden = simd.add_f32s(hidden, simd.max_f32s(simd.sub_f32s(luminance, one), zero));
+                // Where a region is brightest is a guess; where it is, is seen.
+                let inside = inside(simd, load(simd, degree, vector));
+                of_inside[0] = simd.add_f32s(of_inside[0], inside);
+                of_inside[1] = simd.add_f32s(of_inside[1], simd.mul_f32s(inside, load(simd, sines, vector)));
+                of_inside[2] = simd.add_f32s(of_inside[2], simd.mul_f32s(inside, load(simd, cosines, vector)));
+            }
+            let texel_sr = f64::from(geometry.solid_angle_sr[row]);
+            let mut total = [0.0; 9];
+            let all = [irradiance[0], irradiance[1], irradiance[2], strength, squares, hidden, of_inside[0], of_inside[1], of_inside[2]];
+            for (total, sums) in total.iter_mut().zip(all) {
+                *total = f64::from(simd.reduce_sum_f32s(sums)) * texel_sr;
+            }
+            let [red, green, blue, strength, squares, hidden, inside, of_sine, of_cosine] = total;
+            sum.irradiance += DVec3::new(red, green, blue);
+            sum.strength += strength;
+            sum.concentration += squares;
+            sum.hidden += hidden;
+            sum.solid_angle_sr += inside;
+            sum.moment += along_row(geometry.sin_cos_latitude[row], inside, of_sine, of_cosine);
+        }
+        sum.hidden = sum.hidden.min(sum.strength);
+        sum
+    }
+}
+
+/// Adds up directions by density: a sun has the broadest part of its glare around it.
+struct Dense<'a> {
+    sky: &'a Sky<'a>,
+    runs: &'a [Run],
+    region: &'a mut Region,
+    density: &'a mut Vec<f32>,
+}
+
+impl WithSimd for Dense<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Sky { panorama, clipped, density, .. } = *self.sky;
+        let (geometry, width) = (&panorama.geometry, panorama.size.width as usize);
+        self.density.resize(width, 0.0);
+        for run in self.runs {
+            let (row, columns) = (run.row as usize, run.columns());
+            let densities = &mut self.density[..columns.len()];
+            density.along(row, columns.clone(), densities);
+            let [sines, cosines] = geometry.sin_cos_longitude.each_ref().map(|table| &table[columns.clone()]);
+            let degree = &clipped[run.texels(width)];
+            let mut sums = [simd.splat_f32s(0.0); 3];
+            for vector in 0..vectors::<S>(columns.len()) {
+                let density = load(simd, densities, vector);
+                let square = simd.mul_f32s(density, density);
+                let weight = simd.mul_f32s(inside(simd, load(simd, degree, vector)), simd.mul_f32s(square, square));
+                sums[0] = simd.add_f32s(sums[0], weight);
+                sums[1] = simd.add_f32s(sums[1], simd.mul_f32s(weight, load(simd, sines, vector)));
+                sums[2] = simd.add_f32s(sums[2], simd.mul_f32s(weight, load(simd, cosines, vector)));
+            }
+            let texel_sr = f64::from(geometry.solid_angle_sr[row]);
+            let mut total = [0.0; 3];
+            for (total, sums) in total.iter_mut().zip(sums) {
+                *total = f64::from(simd.reduce_sum_f32s(sums)) * texel_sr;
+            }
+            self.region.dense += along_row(geometry.sin_cos_latitude[row], total[0], total[1], total[2]);
+        }
+    }
+}
+
+/// Sum of directions of a row, from its sine and cosine of latitude and the sums of weights and of weights times sines and cosines of longitude.
+fn along_row((sine, cosine): (f32, f32), weight: f64, of_sine: f64, of_cosine: f64) -> DVec3 {
+    DVec3::new(f64::from(cosine) * of_sine, f64::from(sine) * weight, -f64::from(cosine) * of_cosine)
+}
+
+/// How far inside the region texels of these degrees are: rises from 0 to 1 between [`INSIDE`] and 1, without a kink at either end. Never nothing, or a
+/// region on the brink of clipping would be nowhere; and nothing of what is no part of it.
+#[inline(always)]
+fn inside<S: Simd>(simd: S, degree: S::f32s) -> S::f32s {
+    let (zero, one) = (simd.splat_f32s(0.0), simd.splat_f32s(1.0));
+    let t = simd.mul_f32s(simd.sub_f32s(degree, simd.splat_f32s(INSIDE)), simd.splat_f32s(1.0 / (1.0 - INSIDE)));
+    let t = simd.min_f32s(simd.max_f32s(t, zero), one);
+    let smooth = simd.mul_f32s(simd.mul_f32s(t, t), simd.sub_f32s(simd.splat_f32s(3.0), simd.add_f32s(t, t)));
+    simd.select_f32s(simd.greater_than_f32s(degree, simd.splat_f32s(INSIDE)), simd.max_f32s(smooth, simd.splat_f32s(1e-3)), zero)
 }

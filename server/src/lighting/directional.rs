@@ -156,6 +156,7 @@ impl Directional {
                 regions: &self.regions,
                 clipped: recovered.map(|_| degree),
                 threshold,
+                mean: statistics.mean,
                 energy: statistics.energy,
                 tint: sky.tint,
                 sigma: f64::from(sky.sigma),

@@ -25,6 +25,7 @@ mod elementary;
 mod every_method;
 #[cfg(test)]
 mod every_method_over_time;
+mod floor;
 mod iorns;
 mod kmeans;
 mod light_sum;
@@ -55,6 +56,7 @@ mod transpose;
 mod vectors;
 
 pub use directional::{Directional, MOST_LIGHTS};
+pub use floor::Averaging;
 pub use iorns::Iorns;
 pub use mr360::Mr360;
 pub use spec::{MethodError, MethodSpec};

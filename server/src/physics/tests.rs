@@ -248,6 +248,7 @@ fn models_have_their_hull_the_place_its_triangles_and_broken_ones_take_no_part()
                 ..hidden
             },
             casts_shadows: true,
+            gloss: Default::default(),
         }],
         ..Scene::default()
     };

@@ -2,9 +2,10 @@
 
 use anyhow::{Context, Result, ensure};
 use glam::Vec3;
-use mr360_protocol::video::{StereoLayout, Transfer};
+use mr360_protocol::light::Lift;
+use mr360_protocol::video::{Colour, StereoLayout, Transfer};
 use mr360_server::frame::{Frame, Pixels};
-use mr360_shaders::colour::srgb_encode;
+use mr360_shaders::colour::{radiance_from_code, srgb_encode};
 
 use super::radiance_map::{LUMA, RadianceMap};
 
@@ -81,6 +82,19 @@ pub(super) struct Taken {
     pub(super) codes: Option<Vec<[u8; 3]>>,
 }
 
+impl Taken {
+    /// What a mirror shows of it in a viewer that lifts it so; `map` is the panorama that was taken.
+    pub(super) fn lifted(&self, lift: Lift, map: &RadianceMap) -> RadianceMap {
+        let Some(codes) = &self.codes else { return map.clone() };
+        let colour = Colour { transfer: Transfer::Srgb, ..Colour::default() };
+        let radiance = |(at, code): (usize, &[u8; 3])| {
+            let code = Vec3::from_array(code.map(|v| f32::from(v) / 255.0));
+            radiance_from_code(lift, colour, map.direction(at % map.width, at / map.width), code)
+        };
+        map.with_texels(codes.iter().enumerate().map(radiance).collect())
+    }
+}
+
 /// 8-bit sRGB of linear light, rounded.
 pub(super) fn code(linear: f32) -> u8 {
     (srgb_encode(linear.clamp(0.0, 1.0)) * 255.0).round() as u8
@@ -118,13 +132,18 @@ mod tests {
         assert_eq!(taken.scale, 0.5);
         let Pixels::Rgb { texels, transfer, .. } = &taken.frame.pixels else { panic!("RGB was made") };
         assert_eq!(*transfer, Transfer::Srgb);
-        for ((texel, code), radiance) in texels.iter().zip(taken.codes.unwrap()).zip(map.texels()) {
+        for ((texel, code), radiance) in texels.iter().zip(taken.codes.clone().unwrap()).zip(map.texels()) {
             // sRGB of 0.215 is code 127.76.
             assert_eq!(code, if radiance.x > 2.0 { [255, 128, 0] } else { [255; 3] });
             assert_eq!(*texel, code.map(|v| f32::from(v) / 255.0));
         }
+        // Lifted by nothing, it is what its codes show; by the papers' operator, white is 11.8.
+        let (linear, lifted) = (taken.lifted(Lift::Linear, &map), taken.lifted(Lift::InverseToneMap, &map));
+        for ((linear, lifted), radiance) in linear.texels().iter().zip(lifted.texels()).zip(map.texels()) {
+            assert!((linear.y - (radiance.y * 0.5).min(1.0)).abs() < 2e-3 && (radiance.x > 2.0 || (lifted.x - 11.8).abs() < 1e-3));
+        }
         let hdr = Exposure::Hdr.take(&map).unwrap();
-        assert!(hdr.codes.is_none());
+        assert!(hdr.codes.is_none() && hdr.lifted(Lift::InverseToneMap, &map).texels() == map.texels());
         let Pixels::Rgb { texels, transfer, .. } = &hdr.frame.pixels else { panic!("RGB was made") };
         assert!(*transfer == Transfer::Linear && texels[0] == map.texels()[0].to_array());
     }

@@ -88,7 +88,7 @@ fn measure(path: &Path, half: Half, normals: &Normals, stage: &Stage) -> Result<
         for (method, setting, mut made) in made()? {
             let estimate = made.estimate(&taken.frame, &mut StepTimes::default()).with_context(|| format!("{method} at {setting}"))?;
             let light = Light::from(estimate);
-            let [_, _, (shadow, _)] = rendered::errors(&stage.under(&light), &pictures, taken.scale);
+            let [_, _, (shadow, _), _] = rendered::errors(&stage.under(&light, &[]), &pictures, taken.scale);
             rows.push(Row {
                 method: method.to_owned(),
                 setting,

@@ -2,8 +2,8 @@
 //! of lights cost and bring, stability over time, and the share of a core that large live frames take.
 //!
 //! Accuracy: `radiance_map` finds and splits the panoramas, `exposure` makes frames of them, `truth` says what is true,
-//! `irradiance`, `score` and `rendered` measure, `race` runs every method and the peers in turn, `oracle` says what knowing the hidden energy is worth,
-//! `report` writes it down and `fronts` draws it. `speed` races live frames (`video_frame`) against the paper written plainly (`plain`) and
+//! `irradiance`, `score` and `rendered` measure, `race` runs every method and the peers in turn, `oracle` says what knowing the hidden energy is worth and
+//! `features` what the default's own features could give, `report` writes it down and `fronts` draws it; `bounds` holds it all against what is asked. `speed` races live frames (`video_frame`) against the paper written plainly (`plain`) and
 //! in OpenCV, `resolution` varies the working panorama, `light_count` the number of lights, `stability` runs sequences, `large_frames` is the last part. `peer` speaks with the programs of others, which
 //! `opencv` and `three` start.
 
@@ -12,10 +12,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 
+use self::bounds::Bound;
 use crate::figures::save;
 use crate::sandbox::media_folder;
 
+mod bounds;
 mod exposure;
+mod features;
 mod fronts;
 mod irradiance;
 mod large_frames;
@@ -81,7 +84,20 @@ pub struct Options {
     pub out: PathBuf,
 }
 
-/// Runs the bench and writes `lighting.md`; of accuracy `lighting-accuracy.csv` and a chart an exposure; of speed `lighting-speed.csv` and
+/// What a part comes to.
+struct Section {
+    text: String,
+    /// Of the default method.
+    bounds: Vec<Bound>,
+}
+
+impl From<String> for Section {
+    fn from(text: String) -> Self {
+        Self { text, bounds: Vec::new() }
+    }
+}
+
+/// Runs the bench and writes `lighting.md` and, where a part has bounds, `lighting-bounds.csv`; of accuracy `lighting-accuracy.csv` and a chart an exposure; of speed `lighting-speed.csv` and
 /// `lighting-speed.svg`; of resolution `lighting-resolution.csv` and a chart an exposure; of lights `lighting-lights.csv` and a chart an exposure; of stability `lighting-stability.csv`,
 /// `lighting-stability-curves.csv` and a chart a sequence; of large frames `lighting.csv` and the chart `lighting-time.svg`.
 ///
@@ -90,16 +106,23 @@ pub struct Options {
 pub fn run(options: &Options) -> Result<()> {
     ensure!(options.frames > 0 && options.rounds > 0, "--frames and --rounds want 1 or more");
     fs::create_dir_all(&options.out).with_context(|| format!("--out {}: cannot be made", options.out.display()))?;
-    let mut sections = Vec::new();
+    let (mut sections, mut bounds) = (Vec::new(), Vec::new());
     for part in &options.parts {
-        sections.push(match part {
+        let section = match part {
             Part::Accuracy => accuracy(options)?,
             Part::Speed => speed::run(options, &panoramas(options)?, start_opencv(options)?.as_mut())?,
-            Part::Resolution => resolution::run(options, &panoramas(options)?)?,
-            Part::Lights => light_count::run(options, &panoramas(options)?)?,
+            Part::Resolution => resolution::run(options, &panoramas(options)?)?.into(),
+            Part::Lights => light_count::run(options, &panoramas(options)?)?.into(),
             Part::Stability => stability::run(options)?,
-            Part::LargeFrames => large_frames::run(options)?,
-        });
+            Part::LargeFrames => large_frames::run(options)?.into(),
+        };
+        sections.push(section.text);
+        bounds.extend(section.bounds);
+    }
+    if !bounds.is_empty() {
+        save(&options.out, "lighting-bounds.csv", &bounds::table(&bounds).csv())?;
+        sections.insert(0, bounds::markdown(&bounds));
+        eprint!("{}", bounds::overview(&bounds));
     }
     save(&options.out, "lighting.md", &format!("# Lighting\n\n{}", sections.join("\n")))
 }
@@ -124,8 +147,18 @@ fn start_three(options: &Options) -> Result<Option<peer::Peer>> {
     options.three.as_deref().map(|folder| three::start(&options.node, folder)).transpose()
 }
 
+/// How far the definition of the dominant light moves under grain, where there is one.
+fn restless_deg(files: &[PathBuf]) -> Result<Vec<f64>> {
+    let normals = irradiance::Normals::new();
+    let of = |path: &PathBuf| {
+        let map = radiance_map::RadianceMap::load(path)?;
+        Ok(truth::Truth::of(&map, &normals).restlessness_deg(&map))
+    };
+    files.iter().filter_map(|path| of(path).transpose()).collect()
+}
+
 /// Races all methods and returns the section of the summary.
-fn accuracy(options: &Options) -> Result<String> {
+fn accuracy(options: &Options) -> Result<Section> {
     let files = panoramas(options)?;
     let (opencv, three) = (start_opencv(options)?, start_three(options)?);
     let of_opencv = match &opencv {
@@ -152,5 +185,15 @@ fn accuracy(options: &Options) -> Result<String> {
     for exposure in exposure::Exposure::ALL {
         save(&options.out, &fronts::chart_name(exposure), &fronts::chart(&rows, exposure)?)?;
     }
-    Ok(report::markdown(&rows, &of_peers, options.rounds))
+    let fitted = match &options.python {
+        Some(python) => {
+            eprintln!("lighting: fitting the features to these panoramas");
+            features::fit(python, &files)?
+        }
+        None => Vec::new(),
+    };
+    Ok(Section {
+        text: report::markdown(&rows, &of_peers, options.rounds),
+        bounds: bounds::of_accuracy(&rows, &fitted, &restless_deg(&files)?),
+    })
 }

@@ -4,6 +4,8 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::{Context, Result};
+use glam::DVec3;
+use mr360_protocol::light::Lift;
 use mr360_server::lighting::{LightMethod, MethodSpec, StepTimes};
 
 use super::exposure::{Exposure, Taken};
@@ -102,6 +104,7 @@ pub(super) fn run(files: &[PathBuf], specs: &[MethodSpec], peers: &mut [Peer], r
                 time_ms: None,
                 time_ratio: None,
             };
+            let mut mirrors = Mirrors { stage: &stage, taken: &*taken, map: &map, known: Vec::new() };
             rows.extend(raced.iter().map(|entrant| {
                 let score = Score::of(&entrant.light, &truth, taken.scale, &normals);
                 let wire = entrant.light.over_the_wire().ok();
@@ -111,7 +114,11 @@ pub(super) fn run(files: &[PathBuf], specs: &[MethodSpec], peers: &mut [Peer], r
                     quantisation: wire.map(|(_, received)| score::quantisation(&entrant.light, &received, &normals)),
                     time_ms: Some(entrant.time_ms()),
                     time_ratio: Some(entrant.time_ms() / reference),
-                    ..blank(&entrant.method, score, rendered::errors(&stage.under(&entrant.light), &truly, taken.scale))
+                    ..blank(
+                        &entrant.method,
+                        score,
+                        rendered::errors(&stage.under(&entrant.light, mirrors.of(entrant.light.lift)), &truly, taken.scale),
+                    )
                 }
             }));
             rows.extend(answers.iter().zip(&mut pictures).map(|((oracle, answer), pictures)| {
@@ -121,6 +128,24 @@ pub(super) fn run(files: &[PathBuf], specs: &[MethodSpec], peers: &mut [Peer], r
         }
     }
     Ok(rows)
+}
+
+/// What the mirror shows of a panorama through one exposure: the same for all methods that lift alike.
+struct Mirrors<'a> {
+    stage: &'a Stage,
+    taken: &'a Taken,
+    map: &'a RadianceMap,
+    known: Vec<(Lift, Vec<DVec3>)>,
+}
+
+impl Mirrors<'_> {
+    fn of(&mut self, lift: Lift) -> &[DVec3] {
+        let place = self.known.iter().position(|(known, _)| *known == lift).unwrap_or_else(|| {
+            self.known.push((lift, self.stage.mirror(&self.taken.lifted(lift, self.map))));
+            self.known.len() - 1
+        });
+        &self.known[place].1
+    }
 }
 
 /// A panorama through one exposure, and what the oracles say of it.

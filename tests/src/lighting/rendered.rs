@@ -1,14 +1,14 @@
-//! Objects ray traced under the truth and under an estimate: a diffuse and a matte silver sphere, and the ground around a cylinder
+//! Objects ray traced under the truth and under an estimate: a diffuse, a matte silver and a mirror sphere, and the ground around a cylinder
 //! that shades it.
 //!
 //! All pixels see the light directly, none the light of other objects. What an estimate stands for is its harmonics and lights alone, as
-//! for a viewer without the video; a mirror would show the video itself, lifted the same way by every method that lifts alike, and is left out.
+//! for a viewer without the video; but a mirror shows the video itself, lifted as the method says.
 
 use std::f32::consts::PI;
 
 use glam::{DVec3, Vec3};
 use mr360_protocol::light::SH25;
-use mr360_shaders::equirect::pixel_solid_angle_sr;
+use mr360_shaders::equirect::{pixel_solid_angle_sr, uv_from_direction};
 use mr360_shaders::sh::basis25;
 
 use super::radiance_map::RadianceMap;
@@ -24,6 +24,8 @@ const ALPHA: f32 = 0.25;
 const CYLINDER: (f32, f32) = (0.5, 1.0);
 /// Length of the ground's side, metres.
 const GROUND: f32 = 4.0;
+/// Rays along the side of a pixel of the mirror, which shows the whole sphere in little more than a thousand of them.
+const RAYS: usize = 8;
 
 /// What is seen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -34,11 +36,15 @@ pub(super) enum Object {
     Silver,
     /// White, diffuse ground with the cylinder's shadow, seen from above.
     Shadow,
+    /// Sphere that reflects everything.
+    Mirror,
 }
 
 impl Object {
     /// All of them, in the order of [`Errors`].
-    pub(super) const ALL: [Self; 3] = [Self::Diffuse, Self::Silver, Self::Shadow];
+    pub(super) const ALL: [Self; 4] = [Self::Diffuse, Self::Silver, Self::Shadow, Self::Mirror];
+    /// Those that harmonics and lights light.
+    const LIT: [Self; 3] = [Self::Diffuse, Self::Silver, Self::Shadow];
 
     /// As tables and CSV call it.
     pub(super) fn name(self) -> &'static str {
@@ -46,6 +52,7 @@ impl Object {
             Self::Diffuse => "diffuse",
             Self::Silver => "silver",
             Self::Shadow => "shadow",
+            Self::Mirror => "mirror",
         }
     }
 
@@ -55,6 +62,7 @@ impl Object {
             Self::Diffuse => "diffuse sphere",
             Self::Silver => "matte silver sphere of roughness 0.5",
             Self::Shadow => "ground with a cylinder's shadow",
+            Self::Mirror => "mirror sphere, which shows the frame as it is lifted",
         }
     }
 
@@ -88,6 +96,8 @@ impl Surface {
             Object::Silver => ggx(self.normal.z, cosine, self.normal.dot((to_light + Vec3::Z).normalize_or_zero())),
             Object::Shadow if shaded(self.position, to_light) => 0.0,
             Object::Shadow => cosine / PI,
+            // Of a light without extent it shows nothing.
+            Object::Mirror => 0.0,
         }
     }
 }
@@ -113,25 +123,26 @@ fn shaded(position: Vec3, to_light: Vec3) -> bool {
 }
 
 /// Errors of the pictures of [`Object::ALL`]: root mean square over the mean of the truth, and the same after the best single scale.
-pub(super) type Errors = [(f64, f64); 3];
+pub(super) type Errors = [(f64, f64); 4];
 
 /// The pictures' surfaces, and how each answers to every harmonic.
 pub(super) struct Stage {
-    /// By [`Object::ALL`].
+    /// By [`Object::LIT`].
     pictures: [Vec<Surface>; 3],
     /// Coefficient by coefficient, for every surface.
     harmonics: [Vec<[f32; SH25]>; 3],
+    /// Where each pixel of the mirror looks.
+    mirrored: Vec<[Vec3; RAYS * RAYS]>,
 }
 
-/// Radiance of every pixel of the pictures.
-pub(super) type Pictures = [Vec<DVec3>; 3];
+/// Radiance of every pixel of the pictures, by [`Object::ALL`].
+pub(super) type Pictures = [Vec<DVec3>; 4];
 
 impl Stage {
     pub(super) fn new() -> Self {
-        let pictures = Object::ALL.map(|object| {
-            let at = |pixel: usize| (pixel as f32 + 0.5) / SIDE as f32 * 2.0 - 1.0;
-            (0..SIDE * SIDE).filter_map(|pixel| object.surface(at(pixel % SIDE), -at(pixel / SIDE))).collect::<Vec<_>>()
-        });
+        let at = |pixel: usize| (pixel as f32 + 0.5) / SIDE as f32 * 2.0 - 1.0;
+        let pictures = Object::LIT
+            .map(|object| (0..SIDE * SIDE).filter_map(|pixel| object.surface(at(pixel % SIDE), -at(pixel / SIDE))).collect::<Vec<_>>());
         let (columns, rows) = DIRECTIONS;
         let grid = RadianceGrid::empty();
         let bases: Vec<[f32; SH25]> = (0..columns * rows)
@@ -153,7 +164,18 @@ impl Stage {
             };
             surfaces.iter().map(answer).collect()
         });
-        Self { pictures, harmonics }
+        let mirrored = (0..SIDE * SIDE).filter_map(|pixel| mirrored(at(pixel % SIDE), -at(pixel / SIDE))).collect();
+        Self { pictures, harmonics, mirrored }
+    }
+
+    /// What the mirror shows of a panorama.
+    pub(super) fn mirror(&self, map: &RadianceMap) -> Vec<DVec3> {
+        let seen = |ray: &Vec3| {
+            let uv = uv_from_direction(*ray);
+            let (column, row) = ((uv.x * map.width as f32) as usize % map.width, (uv.y * map.height as f32) as usize);
+            map.texels()[row.min(map.height - 1) * map.width + column].as_dvec3()
+        };
+        self.mirrored.iter().map(|rays| rays.iter().map(seen).sum::<DVec3>() / rays.len() as f64).collect()
     }
 
     /// Under all light of a panorama.
@@ -181,12 +203,16 @@ impl Stage {
                 all.iter_mut().zip(sums).for_each(|(pictures, sum)| pictures[picture].push(sum.as_dvec3()));
             }
         }
+        for (pictures, map) in all.iter_mut().zip(maps) {
+            pictures[Object::LIT.len()] = self.mirror(map);
+        }
         all
     }
 
-    /// Under what a method says; harmonics that ring below 0 leave a pixel black.
-    pub(super) fn under(&self, light: &Light) -> Pictures {
-        let mut pictures = self.pictures.each_ref().map(|surfaces| Vec::with_capacity(surfaces.len()));
+    /// Under what a method says, with what the mirror shows of its panorama; harmonics that ring below 0 leave a pixel black.
+    pub(super) fn under(&self, light: &Light, mirror: &[DVec3]) -> Pictures {
+        let mut pictures = Pictures::default();
+        pictures[Object::LIT.len()] = mirror.to_vec();
         for ((surfaces, harmonics), picture) in self.pictures.iter().zip(&self.harmonics).zip(&mut pictures) {
             for (surface, answers) in surfaces.iter().zip(harmonics) {
                 let soft: Vec3 = light.sh.iter().zip(answers).map(|(coefficient, answer)| *coefficient * *answer).sum();
@@ -200,7 +226,7 @@ impl Stage {
 
 /// Errors of pictures where `truth` is of a panorama that is `scale` times as bright in them.
 pub(super) fn errors(estimate: &Pictures, truth: &Pictures, scale: f32) -> Errors {
-    let mut errors = [(0.0, 0.0); 3];
+    let mut errors = Errors::default();
     for ((error, estimate), truth) in errors.iter_mut().zip(estimate).zip(truth) {
         let truth: Vec<DVec3> = truth.iter().map(|pixel| *pixel * f64::from(scale)).collect();
         let values = 3.0 * truth.len() as f64;
@@ -214,6 +240,18 @@ pub(super) fn errors(estimate: &Pictures, truth: &Pictures, scale: f32) -> Error
         *error = (after(1.0), after(if own > 0.0 { shared / own } else { 0.0 }));
     }
     errors
+}
+
+/// Where a pixel of the mirror looks, whose middle has these coordinates in (−1, 1); none beside the sphere. Rays that miss it look where the nearest of its rim does.
+fn mirrored(right: f32, up: f32) -> Option<[Vec3; RAYS * RAYS]> {
+    (right * right + up * up < 1.0).then(|| {
+        std::array::from_fn(|ray| {
+            let within = |ray: usize| ((ray as f32 + 0.5) / RAYS as f32 - 0.5) * 2.0 / SIDE as f32;
+            let at = glam::Vec2::new(right + within(ray % RAYS), up + within(ray / RAYS)).clamp_length_max(0.999);
+            let normal = at.extend((1.0 - at.length_squared()).sqrt());
+            2.0 * normal.z * normal - Vec3::Z
+        })
+    })
 }
 
 /// A panorama's energy, radiance · solid angle, collected into [`DIRECTIONS`].
@@ -264,7 +302,8 @@ mod tests {
     #[test]
     fn even_light_is_seen_alike_under_truth_and_harmonics() {
         let stage = Stage::new();
-        let (truth, estimate) = (stage.under_truth(&RadianceMap::of(128, |_| Vec3::ONE)), stage.under(&even(1.0)));
+        let even_map = RadianceMap::of(128, |_| Vec3::ONE);
+        let (truth, estimate) = (stage.under_truth(&even_map), stage.under(&even(1.0), &stage.mirror(&even_map)));
         for (at, error) in errors(&estimate, &truth, 1.0).iter().enumerate() {
             assert!(error.0 < 1e-3, "{at}: {error:?}");
         }
@@ -281,6 +320,30 @@ mod tests {
     }
 
     #[test]
+    fn a_mirror_shows_what_lies_in_the_mirrored_direction() {
+        let stage = Stage::new();
+        let directions = RadianceMap::of(256, |direction| direction * 0.5 + 0.5);
+        let shown = stage.mirror(&directions);
+        // The middle shows what is behind the eye; half way to the rim, where the normal is 30° off, 60° from that; the rim what is behind the sphere.
+        let pixels: Vec<(f32, f32)> = (0..SIDE * SIDE)
+            .map(|pixel| ((pixel % SIDE) as f32, (pixel / SIDE) as f32))
+            .map(|(x, y)| ((x + 0.5) / SIDE as f32 * 2.0 - 1.0, 1.0 - (y + 0.5) / SIDE as f32 * 2.0))
+            .filter(|(right, up)| right * right + up * up < 1.0)
+            .collect();
+        assert_eq!(shown.len(), pixels.len());
+        for (seen, (right, up)) in shown.iter().zip(pixels) {
+            let towards = (*seen * 2.0 - 1.0).as_vec3();
+            let angle = 2.0 * right.hypot(up).asin();
+            let expected = Vec3::new(angle.sin() * right / right.hypot(up), angle.sin() * up / right.hypot(up), angle.cos());
+            // A pixel near the rim spans tens of degrees.
+            if right.hypot(up) < 0.9 {
+                assert!((towards - expected).length() < 0.02, "{right} {up}: {towards} {expected}");
+            }
+        }
+        assert!(stage.under(&even(1.0), &shown)[3] == shown);
+    }
+
+    #[test]
     fn one_light_shades_the_ground_where_the_cylinder_stands_before_it() {
         let to_light = Vec3::new(1.0, 1.0, 0.0).normalize();
         // At 45° a cylinder one metre high throws a shadow one metre long, from its far side on.
@@ -290,7 +353,7 @@ mod tests {
         assert!(!shaded(Vec3::new(0.6, 0.0, 0.0), Vec3::Y));
         let stage = Stage::new();
         let lights = vec![DirectionalLight { id: 0, direction: to_light, irradiance: Vec3::splat(PI), solid_angle_sr: 0.01 }];
-        let lit = stage.under(&Light { sh: vec![Vec3::ZERO; 9], lights, ..Light::default() });
+        let lit = stage.under(&Light { sh: vec![Vec3::ZERO; 9], lights, ..Light::default() }, &[]);
         for (pixel, surface) in lit[2].iter().zip(&stage.pictures[2]) {
             let expected = if shaded(surface.position, to_light) { 0.0 } else { 0.5f64.sqrt() };
             assert!((pixel.x - expected).abs() < 1e-6);

@@ -7,14 +7,15 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Context, Result};
-use mr360_server::lighting::{LightMethod, MethodSpec, StepTimes};
+use mr360_server::lighting::{Averaging, LightMethod, MethodSpec, StepTimes};
 
+use super::bounds::{Best, Bound, Limit};
 use super::exposure::Exposure;
 use super::peer::Peer;
 use super::race::FRAME_US;
 use super::radiance_map::RadianceMap;
 use super::video_frame::{SIZE, VideoFrame};
-use super::{Options, name, opencv, plain};
+use super::{Options, Section, name, opencv, plain};
 use crate::boxes::{self, Boxes};
 use crate::chart::{Axis, Scale, number};
 use crate::figures::save;
@@ -27,6 +28,9 @@ const WORKING_WIDTH: usize = 512;
 const EXPOSURE: Exposure = Exposure::Ldr(95);
 /// Name of OpenCV's run on planar frames.
 const OPENCV_PLANAR: &str = "opencv-mr360, planar";
+
+/// Name of what every method does at least.
+const FLOOR: &str = "reading and averaging the pixels";
 
 /// Somebody's times over one panorama's frame.
 #[derive(Debug, Clone, PartialEq)]
@@ -46,7 +50,7 @@ impl Times {
 ///
 /// # Errors
 /// When a panorama cannot be used, a method or a peer fails, or the results cannot be written.
-pub(super) fn run(options: &Options, files: &[PathBuf], mut opencv: Option<&mut Peer>) -> Result<String> {
+pub(super) fn run(options: &Options, files: &[PathBuf], mut opencv: Option<&mut Peer>) -> Result<Section> {
     let mut specs: Vec<MethodSpec> = MethodSpec::all().collect();
     specs.push("sh:25".parse()?);
     if let Some(peer) = &mut opencv {
@@ -59,7 +63,7 @@ pub(super) fn run(options: &Options, files: &[PathBuf], mut opencv: Option<&mut 
     }
     save(&options.out, "lighting-speed.csv", &csv(&times))?;
     save(&options.out, "lighting-speed.svg", &chart(&times)?)?;
-    Ok(markdown(&times, opencv.is_some(), options.rounds))
+    Ok(Section { text: markdown(&times, opencv.is_some(), options.rounds), bounds: bounds(&times) })
 }
 
 /// Round by round everybody once, after a round that warms up, so that whatever else the machine does meets all of them alike, and nobody
@@ -68,8 +72,10 @@ fn race(path: &Path, specs: &[MethodSpec], mut opencv: Option<&mut Peer>, rounds
     let map = RadianceMap::load(path)?;
     let mut video = VideoFrame::of(&map, EXPOSURE.scale(&map)?)?;
     let mut methods: Vec<(MethodSpec, Box<dyn LightMethod>)> = specs.iter().map(|spec| (*spec, spec.make())).collect();
+    let mut averaging = Averaging::default();
     let peers: &[&str] = if opencv.is_some() { &[opencv::NAME, OPENCV_PLANAR] } else { &[] };
-    let names = specs.iter().map(ToString::to_string).chain(peers.iter().chain(&[plain::NAME]).map(|name| (*name).to_owned()));
+    let names =
+        specs.iter().map(ToString::to_string).chain([FLOOR].iter().chain(peers).chain(&[plain::NAME]).map(|name| (*name).to_owned()));
     let mut times: Vec<Times> = names.map(|name| Times { name, panorama: super::name(path), rounds_ms: Vec::new() }).collect();
     for round in 0..=rounds {
         video.frame.pts_us = u64::from(round) * FRAME_US;
@@ -80,6 +86,9 @@ fn race(path: &Path, specs: &[MethodSpec], mut opencv: Option<&mut Peer>, rounds
             elapsed_ms.push(started.elapsed().as_secs_f64() * 1e3);
             estimated.with_context(|| spec.to_string())?;
         }
+        let started = Instant::now();
+        std::hint::black_box(averaging.take(&video.frame)?);
+        elapsed_ms.push(started.elapsed().as_secs_f64() * 1e3);
         if let Some(peer) = &mut opencv {
             peer.frame(&video.codes, SIZE.0)?;
             elapsed_ms.push(peer.run()?);
@@ -135,7 +144,7 @@ fn chart(times: &[Times]) -> Result<String> {
     let row = |name: &&str| boxes::Row {
         name: (*name).to_owned(),
         values: of(times, name).flat_map(|times| times.rounds_ms.iter().copied()).collect(),
-        marked: [plain::NAME, opencv::NAME, OPENCV_PLANAR].contains(name),
+        marked: [plain::NAME, opencv::NAME, OPENCV_PLANAR, FLOOR].contains(name),
     };
     Boxes {
         title: format!("One {}×{} frame, one core", SIZE.0, SIZE.1),
@@ -157,7 +166,11 @@ fn markdown(times: &[Times], opencv_raced: bool, rounds: u32) -> String {
             median.zip(least).map(|(median, least)| format!("{median:.1} ({least:.1})")).unwrap_or_default()
         };
         let spec = name.parse::<MethodSpec>();
-        let width = spec.map_or(Some(WORKING_WIDTH as u32), MethodSpec::usual_width);
+        let width = if name == FLOOR {
+            MethodSpec::default().usual_width()
+        } else {
+            spec.map_or(Some(WORKING_WIDTH as u32), MethodSpec::usual_width)
+        };
         let map = width.map_or_else(|| "its own".to_owned(), |width| format!("{width}×{}", width / 2));
         table.push([name.to_owned(), map, quantile(0.5), quantile(0.95), over(plain::NAME), over(opencv::NAME), over(OPENCV_PLANAR)]);
     }
@@ -173,7 +186,7 @@ fn markdown(times: &[Times], opencv_raced: bool, rounds: u32) -> String {
     format!(
         "## Speed\n\nOne {}×{} frame, {}, yuv420p, of every panorama; {rounds} rounds after a warm-up; everything on one thread, {}. Ratios are median (least) \
          over the panoramas of the medians over the rounds. {peers} `{}` is the paper's method straight from its equations in double precision, on \
-         frames that are R'G'B' already.\n\n{}\n![Speed](lighting-speed.svg)\n",
+         frames that are R'G'B' already. `{FLOOR}` is no method: it makes code averages of the default's working map and stops there.\n\n{}\n![Speed](lighting-speed.svg)\n",
         SIZE.0,
         SIZE.1,
         EXPOSURE.title(),
@@ -181,6 +194,25 @@ fn markdown(times: &[Times], opencv_raced: bool, rounds: u32) -> String {
         plain::NAME,
         table.markdown(),
     )
+}
+
+/// How many times as fast as others the default is, and how many times as fast it would be if it only read and averaged the pixels.
+fn bounds(times: &[Times]) -> Vec<Bound> {
+    let default = MethodSpec::default().to_string();
+    let median = |name: &str, peer: &str| percentile(&ratios(times, name, peer), 0.5);
+    let bound = |what: &str, peer: &str, least| Bound {
+        what: format!("speed: {what}"),
+        limit: Limit::AtLeast(least),
+        all: median(&default, peer),
+        halves: [None; 2],
+        best: median(FLOOR, peer).map(|figure| Best { name: FLOOR.to_owned(), figure }).into_iter().collect(),
+    };
+    let raced = |name: &str| of(times, name).next().is_some();
+    let mut bounds = vec![bound("times as fast as the paper's equations, plainly written", plain::NAME, 10.0)];
+    if raced(opencv::NAME) {
+        bounds.push(bound("times as fast as OpenCV", opencv::NAME, 5.0));
+    }
+    bounds
 }
 
 /// Which cores this process and its peers may run on.
@@ -221,6 +253,8 @@ mod tests {
         assert!(text.contains("| directional | 512×256 | 2 | 9 | 10.0 (10.0) | 2.0 (2.0) |  |"), "{text}");
         assert!(csv(&all).contains("directional,a,2.0000,1.0000,9.0000,20.000,5.000\n"), "{}", csv(&all));
         assert!(chart(&all).unwrap().contains("plain mr360: 40, 40, 40"));
+        let bounds = bounds(&all);
+        assert!(bounds[0].is_met() && bounds[0].all == Some(15.0) && !bounds[1].is_met() && bounds[1].all == Some(3.5), "{bounds:?}");
         assert!(markdown(&all[..2], false, 3).contains("OpenCV was not raced"));
     }
 
@@ -238,7 +272,7 @@ mod tests {
         let texels = map.texels().iter().flat_map(glam::Vec3::to_array).collect();
         image::Rgb32FImage::from_raw(64, 32, texels).unwrap().save(&path).unwrap();
         let raced = race(&path, &["sh:9".parse().unwrap()], None, 2).unwrap();
-        assert_eq!(names(&raced), ["sh:9", plain::NAME]);
+        assert_eq!(names(&raced), ["sh:9", FLOOR, plain::NAME]);
         assert!(raced.iter().all(|times| times.rounds_ms.len() == 2 && times.median() > 0.0 && times.panorama == "sky"));
     }
 }

@@ -9,6 +9,9 @@ use super::radiance_map::{LUMA, RadianceMap};
 const CENTROID_RADIUS_DEG: f64 = 5.0;
 /// Radius of the caps among which the brightest is sought.
 const CAP_RADIUS_DEG: f64 = 2.5;
+/// Standard deviation of the grain under which the dominant light is looked for again, as a share of each pixel's radiance, and how often.
+const GRAIN: f32 = 0.03;
+const GRAINS: u64 = 4;
 /// A dominant light gives more than this share of the irradiance on level ground.
 const DOMINANT_SHARE: f64 = 0.1;
 
@@ -28,6 +31,27 @@ impl Truth {
     pub(super) fn of(map: &RadianceMap, normals: &Normals) -> Self {
         let energy = Energy::of(map);
         Self { irradiance: irradiances(map, normals), dominant: energy.dominant(map), direct_share: direct_share(map) }
+    }
+
+    /// How far the dominant light of the same panorama moves, degrees, when each of its pixels is off by a grain of 3 %: the largest of four moves. Where the brightest
+    /// cap is hardly brighter than others, as on a long lamp, its place is decided by less than that.
+    pub(super) fn restlessness_deg(&self, map: &RadianceMap) -> Option<f64> {
+        let dominant = self.dominant?;
+        let moved = (1..=GRAINS).filter_map(|seed| {
+            let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15);
+            // xorshift; the sum of three even numbers has a standard deviation of one half.
+            let mut even = || {
+                state ^= state << 13;
+                state ^= state >> 7;
+                state ^= state << 17;
+                (state >> 40) as f32 / (1u64 << 24) as f32
+            };
+            let texels = map.texels().iter().map(|texel| *texel * (1.0 + 2.0 * GRAIN * (even() + even() + even() - 1.5)).max(0.0));
+            let grained = map.with_texels(texels.collect());
+            let found = Energy::of(&grained).dominant(&grained)?;
+            Some(f64::from(found.cross(dominant).length().atan2(found.dot(dominant)).to_degrees()))
+        });
+        moved.reduce(f64::max)
     }
 
     /// Irradiance in units in which the panorama's radiance is `scale` times as large.
@@ -215,6 +239,14 @@ mod tests {
             // Pixels of 0.7° draw the disc's edge unevenly: half of one.
             assert!(found.angle_between(middle).to_degrees() < 0.35, "{middle}: {found}");
         }
+    }
+
+    #[test]
+    fn the_brightest_part_of_an_even_strip_is_anywhere_along_it() {
+        let disc = sky(Vec3::new(0.3, 0.8, -0.5).normalize(), 1.5, 3e4);
+        let strip = RadianceMap::of(256, |d| Vec3::splat(if d.z.abs() < 0.02 && d.x.abs() < 0.3 && d.y > 0.0 { 3e3 } else { 1.0 }));
+        let [still, restless] = [&disc, &strip].map(|map| Truth::of(map, &Normals::new()).restlessness_deg(map).unwrap());
+        assert!(still < 0.05 && restless > 1.0, "{still} {restless}");
     }
 
     #[test]

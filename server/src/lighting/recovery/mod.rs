@@ -198,20 +198,26 @@ pub(super) struct Density<'a> {
 }
 
 impl Density<'_> {
-    /// Between the middles of the cells, so that it has no steps.
-    pub(super) fn at(&self, row: usize, column: usize) -> f32 {
-        let rows = self.share.len() / self.columns;
-        let along = |texel: usize| (texel as f32 + 0.5) / self.side as f32 - 0.5;
-        let (x, y) = (along(column), along(row).clamp(0.0, (rows - 1) as f32));
-        let (left, above) = (x.floor(), y.floor());
-        let columns = [left as i64, left as i64 + 1].map(|column| column.rem_euclid(self.columns as i64) as usize);
-        let rows = [above as usize, (above as usize + 1).min(rows - 1)];
+    /// Along columns of a row of texels, between the middles of the cells, so that it has no steps.
+    pub(super) fn along(&self, row: usize, columns: std::ops::Range<usize>, out: &mut [f32]) {
+        let (side, in_row, rows) = (self.side, self.columns, self.share.len() / self.columns);
+        // The cell whose middle comes next, and how far it is from the middle before, in half texels: middles of texels are odd.
+        let place = |texel: usize| ((2 * texel + 1 + side) / (2 * side), (2 * texel + 1 + side) % (2 * side));
+        let share = |halves: usize| halves as f32 / (2 * side) as f32;
         let mix = |a: f32, b: f32, t: f32| a + (b - a) * t;
-        let [upper, lower] = rows.map(|row| {
-            let [a, b] = columns.map(|column| self.share[row * self.columns + column]);
-            mix(a, b, x - left)
-        });
-        mix(upper, lower, y - above)
+        let (below, down) = place(row);
+        let [upper, lower] = [below.saturating_sub(1), below.min(rows - 1)].map(|row| &self.share[row * in_row..(row + 1) * in_row]);
+        let at = |cell: usize| mix(upper[cell % in_row], lower[cell % in_row], share(down));
+        let (mut right, mut across) = place(columns.start);
+        let (mut a, mut b) = (at(right + in_row - 1), at(right));
+        for out in out.iter_mut().take(columns.len()) {
+            *out = mix(a, b, share(across));
+            across += 2;
+            if across >= 2 * side {
+                (right, across) = (right + 1, across - 2 * side);
+                (a, b) = (b, at(right));
+            }
+        }
     }
 }
 

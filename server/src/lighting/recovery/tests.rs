@@ -212,3 +212,27 @@ const REFERENCE: [([f32; 4], f32); 6] = [
     ([0.0, 0.05, -3.4, -3.9], -1.889_146),
     ([1.0, 1.0, 3.0, 1.0], 5.950_335),
 ];
+
+#[test]
+fn the_density_is_even_between_the_middles_of_cells() {
+    for side in [1usize, 2, 4, 8] {
+        let (columns, rows) = (32, 16);
+        let share: Vec<f32> = (0..columns * rows).map(|cell| ((cell * 7919) % 101) as f32).collect();
+        let density = Density { share: &share, columns, side };
+        let mix = |a: f32, b: f32, t: f32| a + (b - a) * t;
+        for row in [0, side, 7 * side + side / 2, 16 * side - 1] {
+            let mut along = vec![0.0; 20 * side + 1];
+            for start in [0, 3, 32 * side - along.len()] {
+                density.along(row, start..start + along.len(), &mut along);
+                for (column, got) in (start..).zip(&along) {
+                    let (x, y) = ((column as f32 + 0.5) / side as f32 - 0.5, ((row as f32 + 0.5) / side as f32 - 0.5).clamp(0.0, 15.0));
+                    let cell = |row: f32, column: f32| share[row as usize * 32 + column.rem_euclid(32.0) as usize];
+                    let [upper, lower] = [y.floor(), (y.floor() + 1.0).min(15.0)]
+                        .map(|row| mix(cell(row, x.floor()), cell(row, x.floor() + 1.0), x - x.floor()));
+                    let expected = mix(upper, lower, y - y.floor());
+                    assert!((got - expected).abs() < 1e-3, "side {side}, {row} {column}: {got} {expected}");
+                }
+            }
+        }
+    }
+}

@@ -3,7 +3,8 @@
 //! The panorama in the exposure that is sent, with every observed light at its followed direction and intensity in place of what the frame happens to show,
 //! holds the energy of the frame up to what was smoothed away. The lights that are sent are taken out of its SH as clients
 //! put them back, as sources without extent. So lights plus SH hold the energy once whatever part of a light is sent, and
-//! what wavers in a light does not come back with the opposite sign through the SH.
+//! what wavers in a light does not come back with the opposite sign through the SH. What a lamp holds below the threshold stays in
+//! the SH and wavers with it, so it is scaled as the light is.
 //!
 //! A source without extent is a poor picture of a wide light: taken out whole it leaves negative irradiance behind, which
 //! clients clamp. No light is therefore sent stronger than what the surfaces facing it receive.
@@ -21,6 +22,9 @@ const FACING: f64 = 1.0625;
 /// A light out of sight may still be in the picture, up to this angle beyond its rim: the reach of a coarse texel's
 /// corner.
 const REACH: f64 = 0.07;
+
+/// What is followed may differ from what is seen by this factor: half a beat, or a frame of a change. More than that is something else.
+const MOST_FOLLOWED: f64 = 2.0;
 
 /// One light to be sent.
 #[derive(Debug, Clone, Copy)]
@@ -78,8 +82,12 @@ impl Lights {
         for track in tracks {
             if let Some(seen) = &track.seen {
                 // As it is followed, with the floor under its channels: what is put in is then what is taken out.
-                sh.add(seen.direction.as_vec3(), -canonical(seen.irradiance, gains).exp() * gains.sent);
+                let shown = canonical(seen.irradiance, gains).exp() * gains.sent;
+                sh.add(seen.direction.as_vec3(), -shown);
                 sh.add(track.direction.value().as_vec3(), irradiance(track, gains));
+                // What was guessed says nothing of what is seen.
+                let followed = (irradiance(track, gains).dot(LUMA) / shown.dot(LUMA)).clamp(1.0 / MOST_FOLLOWED, MOST_FOLLOWED);
+                sh.add(seen.direction.as_vec3(), seen.pedestal * scale * ((followed - 1.0) * (1.0 - seen.hidden_share)));
             }
         }
         for light in &self.sent {
@@ -182,6 +190,7 @@ mod tests {
         let seen = Observation {
             direction: DVec3::Y,
             irradiance: DVec3::splat(energy),
+            pedestal: DVec3::ZERO,
             solid_angle_sr: energy,
             share: 1.0,
             hidden_share: 0.0,

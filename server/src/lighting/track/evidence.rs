@@ -2,8 +2,8 @@
 //!
 //! Exposures change while lights stay as they are. In canonical exposure a light that was seen unclipped is known, and remains so when the
 //! exposure rises and clips it. A guess gives way to what is surer; one guess gives way to another only when it differs by more than guesses
-//! waver, and than they differ between exposures. All else pulls slowly. What a frame still shows of a clipped light is a lower bound at any
-//! time.
+//! waver, and than they differ between exposures. All else pulls slowly, and only by what the exposure does not explain. What a frame still
+//! shows of a clipped light is a lower bound at any time.
 
 use glam::DVec3;
 
@@ -51,12 +51,12 @@ impl Evidence {
 
     /// Takes an observation of which a share is hidden, `dt_s` after the last, and returns what is now known.
     pub(super) fn take(&mut self, seen: &Self, hidden_share: f64, dt_s: f64) -> DVec3 {
-        let pull = match self.trust(seen) {
-            Trust::Seen => 1.0,
-            Trust::Better => 1.0 - (-dt_s.max(0.0) / TAKEN_S).exp(),
-            Trust::Guess => 1.0 - (-dt_s.max(0.0) / MEMORY_S).exp(),
+        let (pull, share) = match self.trust(seen) {
+            Trust::Seen => (1.0, 1.0),
+            Trust::Better => (1.0 - (-dt_s.max(0.0) / TAKEN_S).exp(), 1.0),
+            Trust::Guess => (1.0 - (-dt_s.max(0.0) / MEMORY_S).exp(), self.unexplained_share(seen)),
         };
-        self.intensity += (seen.intensity - self.intensity) * pull;
+        self.intensity += (seen.intensity - self.intensity) * (pull * share);
         self.sigma += (seen.sigma - self.sigma) * pull;
         self.exposure += (seen.exposure - self.exposure) * pull;
         let shown_ln = (1.0 - hidden_share).max(f64::MIN_POSITIVE).ln();
@@ -65,12 +65,28 @@ impl Evidence {
         self.intensity
     }
 
+    /// How far a guess is off what is known, as a logarithm.
+    fn differs(&self, seen: &Self) -> f64 {
+        (strength_ln(seen.intensity) - strength_ln(self.intensity)).abs()
+    }
+
+    /// What the exposures alone may make of that.
+    fn exposed(&self, seen: &Self) -> f64 {
+        EXPOSED * (seen.exposure - self.exposure).abs()
+    }
+
+    /// Share of the difference that the exposures do not explain. They come nearer as the memory of the old one fades.
+    fn unexplained_share(&self, seen: &Self) -> f64 {
+        let differs = self.differs(seen);
+        if differs > 0.0 { (1.0 - self.exposed(seen) / differs).max(0.0) } else { 0.0 }
+    }
+
     fn trust(&self, seen: &Self) -> Trust {
         if seen.sigma <= SEEN {
             return Trust::Seen;
         }
-        let differs = (strength_ln(seen.intensity) - strength_ln(self.intensity)).abs();
-        let explained = WAVER * seen.sigma + EXPOSED * (seen.exposure - self.exposure).abs();
+        let differs = self.differs(seen);
+        let explained = WAVER * seen.sigma + self.exposed(seen);
         let changed = seen.sigma <= self.sigma / SURER && differs > explained;
         if changed || seen.sigma <= SURER * self.sigma { Trust::Better } else { Trust::Guess }
     }
@@ -93,12 +109,33 @@ mod tests {
         // Clipped from now on, and guessed to be a third.
         let guess = Evidence::new(grey(3.0), 1.0, 2.0);
         let mut after = |seconds: usize| (0..30 * seconds).map(|_| evidence.take(&guess, 0.8, DT_S).x.exp()).last().unwrap();
-        let pulled = |seconds: f64| 3.0 * (10f64 / 3.0).powf((-seconds / MEMORY_S).exp());
-        assert!((after(4) / pulled(4.0) - 1.0).abs() < 1e-6 && pulled(4.0) > 9.2);
-        assert!((after(16) / pulled(20.0) - 1.0).abs() < 1e-6 && pulled(20.0) < 7.2);
+        // With y the logarithm of known over guess and τ the time in memories: nothing as long as 2 e^−τ, what the exposures explain, is more
+        // than y; then y' = 2 e^−τ − y.
+        let (y, explained) = ((10f64 / 3.0).ln(), 2.0);
+        let begin = f64::ln(explained / y);
+        let pulled = |seconds: f64| {
+            let later = (seconds / MEMORY_S - begin).max(0.0);
+            3.0 * f64::exp((y + explained * later * (-begin).exp()) * (-later).exp())
+        };
+        assert!((after(4) - 10.0).abs() < 1e-9 && (pulled(4.0) - 10.0).abs() < 1e-9);
+        assert!((after(76) / pulled(80.0) - 1.0).abs() < 1e-3 && (7.0..8.0).contains(&pulled(80.0)), "{}", pulled(80.0));
+        // Once it is remembered no better than it is guessed, the guess is as good.
+        assert!((3.0..3.9).contains(&after(340)));
         // What is seen is taken at once, without a step in between.
         let seen = Evidence::new(grey(12.0), 0.0, 0.0);
         assert!((evidence.take(&seen, 0.0, DT_S).x.exp() - 12.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn guesses_of_one_exposure_pull_slowly_and_the_exposure_does_not() {
+        let pulled = |exposure: f64| {
+            let mut evidence = Evidence::new(grey(5.0), 0.4, 0.0);
+            let guess = Evidence::new(grey(4.6), 0.4, exposure);
+            (0..300).map(|_| evidence.take(&guess, 0.7, DT_S).x.exp()).last().unwrap()
+        };
+        let slowly = 4.6 * (5.0f64 / 4.6).powf((-10.0 / MEMORY_S).exp());
+        assert!((pulled(0.0) / slowly - 1.0).abs() < 1e-6, "{}", pulled(0.0));
+        assert!((pulled(0.5) - 5.0).abs() < 1e-9, "{}", pulled(0.5));
     }
 
     #[test]

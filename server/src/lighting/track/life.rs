@@ -288,6 +288,7 @@ mod tests {
             let seen = Observation {
                 direction: DVec3::Y,
                 irradiance: DVec3::splat(share),
+                pedestal: DVec3::ZERO,
                 solid_angle_sr: 0.01,
                 share,
                 hidden_share: 0.0,
@@ -318,6 +319,7 @@ mod tests {
         let light = |direction, share| Observation {
             direction,
             irradiance: DVec3::splat(share),
+            pedestal: DVec3::ZERO,
             solid_angle_sr: 0.01,
             share,
             hidden_share: 0.0,

@@ -52,6 +52,8 @@ pub(super) struct Observation {
     pub(super) direction: DVec3,
     /// Irradiance on a surface facing it.
     pub(super) irradiance: DVec3,
+    /// What it holds beyond that, between the mean of the upper hemisphere and the threshold from which on a light is taken out.
+    pub(super) pedestal: DVec3,
     /// Solid angle.
     pub(super) solid_angle_sr: f64,
     /// Its share of the energy of the upper hemisphere; of a clipped one, what it may be within a standard deviation.

@@ -179,6 +179,11 @@ pub(super) struct Measures {
     pub(super) strength_first: Option<f64>,
     /// And of the last second.
     pub(super) strength_last: Option<f64>,
+    /// And of all frames in which the truth's is within 5 % of its least: where the exposure moves, those that show a lamp unclipped, if any do.
+    pub(super) strength_least: Option<f64>,
+    /// [`Measures::ripple`] of a mean of the truth over the number of frames, from the last to the twelfth last, that leaves least of it: of somebody who knows the beat
+    /// beforehand.
+    pub(super) known_ripple: Option<f64>,
 }
 
 impl Measures {
@@ -220,6 +225,8 @@ impl Measures {
             ratio_drift: if varies == Varies::Exposure { ratio_drift(moments) } else { None },
             strength_first: true_strength(&|time_s| time_s < first_s + 1.0),
             strength_last: true_strength(&|time_s| time_s > last_s - 1.0),
+            strength_least: strength_least(moments),
+            known_ripple: if beats { known_ripple(moments) } else { None },
         }
     }
 }
@@ -314,6 +321,28 @@ fn ripple(moments: &[Moment], of: impl Fn(&Shown) -> Option<f64>) -> Option<f64>
     let truth = |of: &dyn Fn(&Shown) -> Option<f64>| swing(&known().filter_map(|moment| of(moment.truth.as_ref()?)).collect::<Vec<_>>());
     let level = truth(&|shown| Some(shown.level()))?;
     Some(swing(&own)? / truth(&of)?.max(level))
+}
+
+/// Most frames that a mean is taken over: the slowest beats that a second's frames show as such take twelve.
+const MOST_MEANT: usize = 12;
+
+fn known_ripple(moments: &[Moment]) -> Option<f64> {
+    let begin_s = moments.first()?.time_s + BEAT_KNOWN_S;
+    let begin = moments.partition_point(|moment| moment.time_s < begin_s).max(MOST_MEANT);
+    let levels: Option<Vec<f64>> = moments.iter().map(|moment| moment.truth.as_ref().map(Shown::level)).collect();
+    let levels = levels?;
+    let mean = |frames: usize| -> Vec<f64> {
+        (begin..levels.len()).map(|frame| levels[frame + 1 - frames..=frame].iter().sum::<f64>() / frames as f64).collect()
+    };
+    let least = (1..=MOST_MEANT).filter_map(|frames| swing(&mean(frames))).reduce(f64::min)?;
+    Some(least / swing(&mean(1))?)
+}
+
+fn strength_least(moments: &[Moment]) -> Option<f64> {
+    let truly = |moment: &Moment| Some(moment.truth.as_ref()?.main?.strength);
+    let least = moments.iter().filter_map(truly).reduce(f64::min)?;
+    let shown = moments.iter().filter(|moment| truly(moment).is_some_and(|strength| strength <= (1.0 + ARRIVED) * least));
+    crate::samples::percentile(&shown.filter_map(Moment::strength).collect::<Vec<_>>(), 0.5)
 }
 
 fn ratio_drift(moments: &[Moment]) -> Option<f64> {

@@ -122,6 +122,21 @@ fn a_beat_that_is_halved_has_half_the_ripple() {
     };
     let measures = Measures::of(&moments(150, of), &[], Varies::Beat);
     assert!(close(measures.ripple, 0.5) && close(measures.light_ripple, 0.25), "{measures:?}");
+    // Three frames hold a whole beat.
+    assert!(close(measures.known_ripple, 0.0), "{measures:?}");
+    // A step of the truth is left of any mean, and somebody who averages twelve frames waits for it.
+    let of = |frame: usize| (shown(tilted(0.0), 1.0, 1.0), Some(shown(tilted(0.0), 1.0, if frame < 100 { 1.0 } else { 2.0 })));
+    assert!(close(Measures::of(&moments(150, of), &[], Varies::Beat).known_ripple, 1.0));
+}
+
+#[test]
+fn the_strength_at_the_least_exposure_stands_by_itself() {
+    let of = |frame: usize| {
+        let truth = if (30..60).contains(&frame) { 1.0 } else { 4.0 };
+        (shown(tilted(0.0), if truth < 2.0 { 0.8 } else { 2.0 }, 1.0), Some(shown(tilted(0.0), truth, 1.0)))
+    };
+    let measures = plain(&moments(90, of));
+    assert!(close(measures.strength_first, 0.5) && close(measures.strength_least, 0.8), "{measures:?}");
 }
 
 #[test]

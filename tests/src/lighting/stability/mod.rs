@@ -9,7 +9,7 @@ use mr360_server::lighting::sequences::{self, Varies};
 use mr360_server::lighting::{LightMethod, MethodSpec, StepTimes};
 
 use self::measures::{Measures, Moment, Shown};
-use super::Options;
+use super::{Options, Section};
 use crate::figures::save;
 use crate::sandbox::{Sandbox, media};
 
@@ -48,7 +48,7 @@ struct Watched {
 ///
 /// # Errors
 /// When the clip was not fetched, ffmpeg or a method fails, or the results cannot be written.
-pub(super) fn run(options: &Options) -> Result<String> {
+pub(super) fn run(options: &Options) -> Result<Section> {
     let clip = media(CLIP)?;
     let specs = methods()?;
     let sequences = sequences::all();
@@ -79,8 +79,7 @@ pub(super) fn run(options: &Options) -> Result<String> {
     for watched in &all {
         save(&options.out, &curves::chart_name(&watched.sequence), &curves::chart(watched)?)?;
     }
-    eprint!("{}", report::overview(&all));
-    Ok(report::markdown(&all))
+    Ok(Section { text: report::markdown(&all), bounds: report::bounds(&all) })
 }
 
 /// Every method with its default parameter, and SH's larger set.

@@ -1,7 +1,6 @@
 //! What the sequences came to: tables and CSV.
 
-use std::fmt;
-
+use super::super::bounds::{Best, Bound, Limit};
 use super::Watched;
 use super::curves::chart_name;
 use super::measures::Measures;
@@ -48,7 +47,7 @@ fn ms(seconds: Option<f64>) -> Option<f64> {
 }
 
 /// All measures.
-static COLUMNS: [Column; 18] = [
+static COLUMNS: [Column; 20] = [
     column("found_percent", |m| percent(m.found), Some("Frames in which a light is within 10° of the true main light, %:")),
     column(
         "invented_percent",
@@ -92,7 +91,21 @@ static COLUMNS: [Column; 18] = [
     ),
     column("strength_first", |m| m.strength_first, Some("Main light's strength over the truth's, median of the first second:")),
     column("strength_last", |m| m.strength_last, Some("The same of the last second:")),
+    column("strength_least", |m| m.strength_least, Some("The same of all frames in which the truth's is within 5 % of its least:")),
+    column("known_ripple", |m| m.known_ripple, None),
 ];
+
+/// What the best possible method with the same input reaches, where it is measured: figure, who that is, and what it reaches.
+static BEST: [(&str, &str, Figure); 3] = [
+    ("ripple", "a mean over the beat's period, known beforehand", |m| m.known_ripple),
+    ("light_ripple", "a mean over the beat's period, known beforehand", |m| m.known_ripple),
+    ("strength_last", "the same light while it is not clipped, of which μ + 2σ stays in the harmonics", |m| m.strength_least),
+];
+
+fn best(figure: &str, measures: &Measures) -> Vec<Best> {
+    let of = BEST.iter().filter(|(name, ..)| *name == figure);
+    of.filter_map(|(_, who, of)| Some(Best { name: (*who).to_owned(), figure: of(measures)? })).collect()
+}
 
 /// One row a sequence and method.
 pub(super) fn csv(all: &[Watched]) -> String {
@@ -107,45 +120,20 @@ pub(super) fn csv(all: &[Watched]) -> String {
     table.csv()
 }
 
-/// A bound of the default method.
-struct Bound {
+/// What is asked of the default method.
+struct Asked {
     what: &'static str,
     sequences: &'static [&'static str],
     figure: &'static str,
     limit: Limit,
 }
 
-/// What meets a bound.
-#[derive(Debug, Clone, Copy)]
-enum Limit {
-    AtMost(f64),
-    AtLeast(f64),
+const fn bound(what: &'static str, sequences: &'static [&'static str], figure: &'static str, most: f64) -> Asked {
+    Asked { what, sequences, figure, limit: Limit::AtMost(most) }
 }
 
-impl Limit {
-    fn is_met_by(self, figure: f64) -> bool {
-        match self {
-            Self::AtMost(most) => figure <= most,
-            Self::AtLeast(least) => figure >= least,
-        }
-    }
-}
-
-impl fmt::Display for Limit {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::AtMost(most) => write!(f, "≤ {}", number(*most)),
-            Self::AtLeast(least) => write!(f, "≥ {}", number(*least)),
-        }
-    }
-}
-
-const fn bound(what: &'static str, sequences: &'static [&'static str], figure: &'static str, most: f64) -> Bound {
-    Bound { what, sequences, figure, limit: Limit::AtMost(most) }
-}
-
-const fn at_least(what: &'static str, sequences: &'static [&'static str], figure: &'static str, least: f64) -> Bound {
-    Bound { what, sequences, figure, limit: Limit::AtLeast(least) }
+const fn at_least(what: &'static str, sequences: &'static [&'static str], figure: &'static str, least: f64) -> Asked {
+    Asked { what, sequences, figure, limit: Limit::AtLeast(least) }
 }
 
 const STILL: &[&str] = &["still", CODED, BRIGHT, DARK];
@@ -158,7 +146,7 @@ const BEATS: &[&str] = &["lamp beat", "one lamp beats"];
 const TWO_FRAMES_MS: f64 = 66.7;
 
 /// What the default method is held to.
-static BOUNDS: [Bound; 18] = [
+static BOUNDS: [Asked; 18] = [
     bound("still scene: direction about its mean, degrees RMS", STILL, "wander_rms_deg", 0.1),
     bound("still scene: variation of the light, %", STILL, "strength_variation_percent", 1.0),
     at_least("still scene: frames in which the light is found, %", STILL, "found_percent", 100.0),
@@ -180,21 +168,23 @@ static BOUNDS: [Bound; 18] = [
 ];
 
 /// The default method against its bounds, sequence by sequence.
-fn bounds(all: &[Watched]) -> Table {
-    let mut table = Table::new(&["what", "sequence", "bound", "measured", ""]);
-    for bound in &BOUNDS {
-        for sequence in bound.sequences {
+pub(super) fn bounds(all: &[Watched]) -> Vec<Bound> {
+    let mut bounds = Vec::new();
+    for asked in &BOUNDS {
+        for sequence in asked.sequences {
             let Some(run) = all.iter().find(|watched| watched.sequence == *sequence).and_then(|watched| watched.runs.first()) else {
                 continue;
             };
-            let figure = COLUMNS.iter().find(|column| column.name == bound.figure).and_then(|column| (column.of)(&run.measures));
-            let met = figure.is_some_and(|figure| bound.limit.is_met_by(figure));
-            let measured = figure.map_or_else(|| "nothing to measure".to_owned(), number);
-            let verdict = if met { "met" } else { "**not met**" };
-            table.push([bound.what.to_owned(), (*sequence).to_owned(), bound.limit.to_string(), measured, verdict.to_owned()]);
+            bounds.push(Bound {
+                what: format!("{} ({sequence})", asked.what),
+                limit: asked.limit,
+                all: COLUMNS.iter().find(|column| column.name == asked.figure).and_then(|column| (column.of)(&run.measures)),
+                halves: [None; 2],
+                best: best(asked.figure, &run.measures),
+            });
         }
     }
-    table
+    bounds
 }
 
 /// A row a sequence, a column a method, and one for the truth where that has such a figure.
@@ -219,13 +209,11 @@ fn short(value: f64) -> String {
 
 /// All tables as Markdown.
 pub(super) fn markdown(all: &[Watched]) -> String {
-    let default = all.first().and_then(|watched| watched.runs.first()).map(|run| run.method.as_str()).unwrap_or_default();
-    let mut text = format!(
+    let mut text =
         "## Stability\n\nSequences of 256×128 pixels with known light (`mr360_server::lighting::sequences`), still scenes of 1920×960 with sensor noise through H.264 at \
          8 Mbit/s and the server's decoder, and the real clip, of which no truth is known. The main light of an estimate is its strongest with all others within 10° \
-         of it. A dash: the method sends no light, or the sequence does not ask.\n\nThe default method, `{default}`, against its bounds:\n\n{}",
-        bounds(all).markdown()
-    );
+         of it. A dash: the method sends no light, or the sequence does not ask.\n"
+            .to_owned();
     for (column, title) in COLUMNS.iter().filter_map(|column| column.table.map(|title| (column, title))) {
         text += &format!("\n{title}\n\n{}", by_sequence(all, column).markdown());
     }
@@ -234,14 +222,6 @@ pub(super) fn markdown(all: &[Watched]) -> String {
         text += &format!("![{}]({})\n", watched.sequence, chart_name(&watched.sequence));
     }
     text
-}
-
-/// For the terminal: the bounds that the default method does not meet.
-pub(super) fn overview(all: &[Watched]) -> String {
-    let csv = bounds(all).csv();
-    let missed = csv.lines().filter(|line| line.contains("not met")).map(|line| format!("lighting: {line}\n"));
-    let missed: String = missed.collect();
-    if missed.is_empty() { "lighting: stability: every bound is met\n".to_owned() } else { missed }
 }
 
 #[cfg(test)]
@@ -259,12 +239,12 @@ mod tests {
         let still = Measures { found: Some(1.0), wander_rms_deg: Some(0.05), strength_variation: Some(0.02), ..Measures::default() };
         let share = Measures { found: Some(0.99), ..Measures::default() };
         let all = [watched("still", still), watched("clipped share", share), watched("overcast", Measures::default())];
-        let text = bounds(&all).markdown();
-        assert!(text.contains("degrees RMS | still | ≤ 0.1 | 0.05 | met |"), "{text}");
-        assert!(text.contains("variation of the light, % | still | ≤ 1 | 2 | **not met** |"), "{text}");
-        assert!(text.contains("found, % | clipped share | ≥ 100 | 99 | **not met** |"), "{text}");
-        assert!(text.contains("overcast | ≤ 0 | nothing to measure | **not met** |"), "{text}");
-        assert_eq!(overview(&all).lines().count(), 3);
+        let bounds = bounds(&all);
+        let of = |what: &str| bounds.iter().find(|bound| bound.what.contains(what)).unwrap();
+        assert!(of("degrees RMS (still)").is_met() && of("degrees RMS (still)").all == Some(0.05), "{bounds:?}");
+        assert!(!of("variation of the light, % (still)").is_met() && of("variation of the light, % (still)").all == Some(2.0));
+        assert!(!of("found, % (clipped share)").is_met() && !of("(overcast)").is_met() && of("(overcast)").all.is_none());
+        assert_eq!(bounds.iter().filter(|bound| !bound.is_met()).count(), 3);
         assert!(BOUNDS.iter().all(|bound| COLUMNS.iter().any(|column| column.name == bound.figure)));
         let known: Vec<&str> =
             mr360_server::lighting::sequences::all().iter().map(|sequence| sequence.name).chain([CODED, BRIGHT, DARK, REAL]).collect();
