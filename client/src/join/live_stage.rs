@@ -344,22 +344,72 @@ mod tests {
         Paired { picture, light, arrived: now, decoded: now, paired: now }
     }
 
-    #[test]
-    fn a_gap_of_light_hides_objects_and_leaves_them_on_the_gpu() {
+    /// A stage that has drawn one frame of a ball at the origin, and what draws the next.
+    fn stand() -> (LiveStage, SharedScene, impl FnMut(&mut LiveStage, bool)) {
         let gpu = Gpu::headless().unwrap();
-        let (device, queue) = (gpu.device.clone(), gpu.queue.clone());
+        let offscreen = crate::headless::Offscreen::new(&gpu.device, &gpu.queue, 8, 8);
         let shared = SharedScene::new(ClientClock::start());
         shared.apply(&snapshot(Geometry::Shape(Shape::Sphere))).unwrap();
-        let mut stage = LiveStage::new(gpu, shared, Governor::fixed(Tier::FULL)).unwrap();
-        let offscreen = crate::headless::Offscreen::new(&device, &queue, 8, 8);
+        let stage = LiveStage::new(gpu, shared.clone(), Governor::fixed(Tier::FULL)).unwrap();
         let camera = Camera { position: Vec3::Z * 3.0, ..Camera::looking(0.0, 0.0, 1.0) };
-        let mut seen = Vec::new();
-        for lit in [true, false, true] {
+        let draw = move |stage: &mut LiveStage, lit| {
             stage.update(paired(lit)).unwrap();
             stage.draw(&[Shot { camera, target: offscreen.target() }]).unwrap();
-            let ray = Ray { origin: camera.position, direction: camera.ray(Vec2::ZERO, 1.0) };
-            seen.push((stage.shown.as_ref().map(|shown| shown.version), stage.pick(&ray).map(|(id, _)| id)));
+        };
+        (stage, shared, draw)
+    }
+
+    fn ahead(x: f32) -> Ray {
+        Ray { origin: Vec3::new(x, 0.0, 3.0), direction: Vec3::NEG_Z }
+    }
+
+    fn picked(stage: &LiveStage, x: f32) -> Option<ObjectId> {
+        Some(stage.pick(&ahead(x))?.0)
+    }
+
+    #[test]
+    fn a_gap_of_light_hides_objects_and_leaves_them_on_the_gpu() {
+        let (mut stage, _, mut draw) = stand();
+        let mut seen = Vec::new();
+        for lit in [true, false, true] {
+            draw(&mut stage, lit);
+            seen.push((stage.shown.as_ref().map(|shown| shown.version), picked(&stage, 0.0)));
         }
         assert_eq!(seen, [(Some(1), Some(ObjectId(1))), (Some(1), None), (Some(1), Some(ObjectId(1)))]);
+    }
+
+    #[test]
+    fn what_the_user_leads_is_there_in_the_next_frame_and_hands_are_drawn_but_not_taken() {
+        let (mut stage, shared, mut draw) = stand();
+        assert!(!stage.has_scene());
+        draw(&mut stage, true);
+        assert!(stage.has_scene() && !stage.prepare().unwrap());
+        assert_eq!((stage.library().len(), stage.ground_y()), (4, -1.6));
+        let moved = Transform { position: Vec3::X * 5.0, ..Transform::default() };
+        for action in [Action::Grab(ObjectId(1)), Action::Move(ObjectId(1), moved)] {
+            stage.predict(&action, ClientTime(0));
+        }
+        assert!(stage.prepare().unwrap(), "it looks different");
+        draw(&mut stage, true);
+        assert_eq!((picked(&stage, 0.0), picked(&stage, 5.0)), (None, Some(ObjectId(1))));
+        assert_eq!(stage.transform(ObjectId(1)), Some(moved));
+        assert!(!stage.prepare().unwrap(), "held still, it looks the same");
+
+        let pose = crate::hands::Pose { position: Vec3::ZERO, ..crate::hands::Pose::IDENTITY };
+        let local = [looks::controller(0, &pose), looks::ray(&pose, 2.0)];
+        stage.show_local(&local);
+        assert!(stage.prepare().unwrap());
+        draw(&mut stage, true);
+        assert!(!stage.prepare().unwrap() && stage.warned.is_empty());
+        assert_eq!(picked(&stage, 0.0), None);
+        // Moved, they stay in the layout; one less, and all is laid out anew. Neither is the shared scene's business.
+        stage.show_local(&[looks::controller(0, &crate::hands::Pose { position: Vec3::Y, ..pose }), looks::ray(&pose, 3.0)]);
+        assert!(!stage.local_changed && stage.prepare().unwrap());
+        draw(&mut stage, true);
+        stage.show_local(&local[..1]);
+        assert!(stage.local_changed);
+        draw(&mut stage, true);
+        assert_eq!((shared.version(), shared.shown().scene.objects.len()), (1, 1));
+        assert_eq!(picked(&stage, 5.0), Some(ObjectId(1)), "laid out anew, it is where it is led");
     }
 }

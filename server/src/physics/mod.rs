@@ -15,7 +15,7 @@ use glam::{Quat, Vec3};
 use mr360_protocol::intent::{MAX_SPEED_M_S, MAX_SPIN_RAD_S, Motion};
 use mr360_protocol::scene::{Geometry, MAX_POSITION_M, Object, ObjectId, Scene, Transform};
 use rapier3d::prelude::{
-    Collider, ColliderBuilder, ColliderHandle, PhysicsWorld, Pose, RigidBodyBuilder, RigidBodyHandle, RigidBodyType, Rotation, Vector,
+    ColliderBuilder, ColliderHandle, PhysicsWorld, Pose, RigidBodyBuilder, RigidBodyHandle, RigidBodyType, Rotation, Vector,
 };
 
 pub use form::Forms;
@@ -105,10 +105,9 @@ impl Physics {
         self.bodies.insert(object.id, Body { handle, collider, geometry: object.geometry, fixed, held: false, transform });
     }
 
-    /// Takes an object away. What leant on it wakes up.
+    /// Takes an object away. What leant on it falls.
     pub fn remove(&mut self, object: ObjectId) {
         if let Some(body) = self.bodies.remove(&object) {
-            self.wake_neighbours(body.collider);
             self.world.remove_body(body.handle);
             self.awake = true;
         }
@@ -118,9 +117,7 @@ impl Physics {
     pub fn hold(&mut self, object: ObjectId) {
         let Some(body) = self.bodies.get_mut(&object).filter(|body| !body.held) else { return };
         body.held = true;
-        let (handle, collider) = (body.handle, body.collider);
-        self.wake_neighbours(collider);
-        if let Some(rigid) = self.world.bodies.get_mut(handle) {
+        if let Some(rigid) = self.world.bodies.get_mut(body.handle) {
             rigid.set_enabled(true);
             rigid.set_body_type(RigidBodyType::KinematicPositionBased, true);
         }
@@ -211,18 +208,6 @@ impl Physics {
                 rigid.set_position(to, true);
             } else {
                 rigid.set_next_kinematic_position(to);
-            }
-        }
-    }
-
-    /// The solver wakes what is hit, not what loses its hold.
-    fn wake_neighbours(&mut self, collider: Option<ColliderHandle>) {
-        let Some(collider) = collider else { return };
-        let pairs = self.world.narrow_phase.contact_pairs_with(collider).filter(|pair| pair.has_any_active_contact());
-        let others: Vec<_> = pairs.map(|pair| if pair.collider1 == collider { pair.collider2 } else { pair.collider1 }).collect();
-        for other in others {
-            if let Some(parent) = self.world.colliders.get(other).and_then(Collider::parent) {
-                self.world.wake_up(parent, true);
             }
         }
     }
