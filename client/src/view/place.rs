@@ -21,6 +21,8 @@ use crate::environment::FrameLight;
 use crate::environment::light::tan_radius;
 use crate::scene::mesh::Bounds;
 
+/// Most objects whose shadows on the place are looked at one by one.
+const MOST_CASTERS: usize = 64;
 /// Most boxes that a shadow is taken apart into.
 const MOST_SHADOW_PIECES: usize = 16;
 /// The place's penumbrae have room beside what objects can change as from this far away, metres.
@@ -90,10 +92,10 @@ impl Stage {
     }
 
     /// The parts of the place that objects can change under this light: within their occluders' reach, and in the shadows of the
-    /// first `shadows` lights; all of it where it `mirrors` them.
+    /// first `shadows` lights; all of it where it `mirrors` them, or where they are many.
     pub(super) fn changed_place(&self, light: &FrameLight, shadows: usize, mirrors: bool) -> Vec<Bounds> {
         let place = &self.place.bounds;
-        if mirrors || place.is_empty() {
+        if mirrors || place.is_empty() || self.casters.len() > MOST_CASTERS {
             return place.clone();
         }
         let reached = self.occluders.iter().map(reach);
