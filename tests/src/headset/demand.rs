@@ -107,7 +107,7 @@ pub(super) fn markdown(passes: &[(String, f64)]) -> String {
          2×2064×2208 pixels at 90 Hz: {} million pixels a second, in {} ms a frame; video of 4096×2048 at 30 Hz. Touched is what objects and changed ground take of the picture.\n\n{}\n\
          Together {} GB/s with a quarter touched, {} GB/s with all of it; memory {} and {} MB. Tiled GPUs keep the samples of the first row on the chip. Governor's tier 4 draws one sample a pixel, \
          which takes three quarters off the first row. Head motion costs nothing at the video's rate: light, reflections and shadow maps do not depend on it.\n\n\
-         Passes of a frame, seen here with the demo's scene at 2×320×240 (ms, in software): {}.\n",
+         Passes of a frame, seen here in the calm run at 2×320×240 (ms, in software): {}.\n",
         number((pixels() * RATE_HZ / 1e6).round()),
         number(1e3 / RATE_HZ),
         table.markdown(),
