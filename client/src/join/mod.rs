@@ -21,9 +21,8 @@ use mr360_protocol::stop::asked_to_stop;
 use crate::Failure;
 use crate::camera::Camera;
 use crate::decode::VideoDecoder;
-use crate::frame_loop::{BoxError, FrameLoop, Inputs, Stage};
+use crate::frame_loop::{BoxError, FrameLoop, Inputs};
 use crate::gpu::{self, Gpu};
-use crate::hands::{Hands, HandsInput};
 use crate::headless::{self, Files, Graphics};
 use crate::receive::{Receiver as Network, User};
 use crate::script::{self, Deed, Player};
@@ -107,20 +106,10 @@ fn in_headset(
     act: &mut dyn FnMut(Action),
 ) -> anyhow::Result<()> {
     let mut open = |gpu: Gpu| -> Result<LiveStage, BoxError> {
-        Ok(settings.stage(LiveStage::new(gpu, scene.clone(), settings.governor(Some(HEADSET_MHZ)))?))
+        let stage = LiveStage::new(gpu, scene.clone(), settings.governor(Some(HEADSET_MHZ)))?;
+        Ok(settings.stage(stage.with_parallax(settings.parallax)))
     };
-    let mut hands = Hands::default();
-    let mut handle = |input: &HandsInput, stage: &mut LiveStage| {
-        let output = hands.update(input, stage);
-        for action in output.actions {
-            stage.predict(&action, input.now);
-            act(action);
-        }
-        stage.show_local(&output.drawn);
-        output.haptics
-    };
-    let surroundings = xr::Surroundings { open: &mut open, ground_y: &|| scene.ground_y(), act: &mut handle, eyes };
-    match xr::run(frames, &settings.headset(), surroundings) {
+    match xr::run(frames, &settings.headset(), xr::Surroundings { open: &mut open, act: &mut *act, eyes }) {
         Err(error @ XrError::NoHeadset { .. }) => {
             tracing::warn!("{error}; going on in a window");
             in_window(frames, settings, scene, act)

@@ -99,12 +99,6 @@ impl SharedScene {
         self.lock().shown.clone()
     }
 
-    /// Height of the ground.
-    #[must_use]
-    pub fn ground_y(&self) -> f32 {
-        self.lock().shown.scene.ground_y
-    }
-
     /// Counts changes that need the scene to be laid out anew.
     pub(super) fn version(&self) -> u64 {
         self.lock().shown.version

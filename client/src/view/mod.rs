@@ -86,7 +86,7 @@ use glass::is_glass;
 use mirror::mirrored_use;
 use models::Models;
 use pipelines::{Kind, Layouts, Pipelines, Use};
-use plan::SceneNeeds;
+use plan::{Casting, SceneNeeds};
 use resources::{Layer, Resources};
 use room::Room;
 use shadows::Frustum;
@@ -175,6 +175,7 @@ pub struct Renderer {
     light_changed: bool,
     /// In force: the picture's, or on its way to that of the next one.
     current: FrameLight,
+    casting: Casting,
     visible: bool,
     reflections: Reflections,
     parallax: Parallax,
@@ -221,6 +222,7 @@ impl Renderer {
             light: FrameLight::default(),
             light_changed: true,
             current: FrameLight::default(),
+            casting: Casting::default(),
             visible: true,
             reflections: Reflections::default(),
             parallax: Parallax::default(),
@@ -284,12 +286,14 @@ impl Renderer {
         self.light = FrameLight::from(light);
         self.light_changed = true;
         self.current = self.light.clone();
+        self.casting.order(&mut self.current.lights);
     }
 
     /// Lights objects by this until the next light is set: one between that of the picture and the next one's. Reflections show the
     /// picture, and stay as they are.
     pub fn relight(&mut self, light: &LightFrame) {
         self.current = FrameLight { lift: self.light.lift, ..FrameLight::from(light) };
+        self.casting.order(&mut self.current.lights);
     }
 
     /// The light in force.
@@ -313,7 +317,7 @@ impl Renderer {
     #[must_use]
     pub fn plan(&self, tier: Tier) -> Plan {
         let needs = if self.visible { self.stage.needs } else { SceneNeeds::default() };
-        Plan::new(needs, &self.current).within(tier)
+        Plan::new(needs, &self.current, &self.casting).within(tier)
     }
 
     /// The nearest object along a ray and where it is met.
@@ -345,6 +349,7 @@ impl Renderer {
         self.timer.collect(gpu);
         let views = views.get(..MAX_VIEWS).unwrap_or(views);
         let plan = self.plan(self.tier);
+        self.casting.keep(self.current.lights.get(..plan.shadows).unwrap_or_default());
         if std::mem::take(&mut self.light_changed) {
             environment.set_light(gpu, &self.light);
             self.unreflected = self.unreflected.saturating_add(1);
@@ -361,6 +366,7 @@ impl Renderer {
         let place_frusta = self.place_frusta(frusta.len());
         let eyes: Vec<Vec3> = views.iter().filter(|_| plan.ground_mirrors).map(|view| view.camera.position).collect();
         let ground = self.stage.changed_ground(&self.current, frusta.len(), &eyes);
+        let changed_place = self.stage.changed_place(&self.current, frusta.len(), plan.place_mirrors);
         let lights = (&self.current, &self.reflected);
         self.resources.write_frame(gpu, &self.stage, lights, (&frusta, &place_frusta), (plan.occlusion, ground));
         let mut report = FrameReport { plan, ..FrameReport::default() };
@@ -388,21 +394,21 @@ impl Renderer {
         }
         self.drawn.clear();
         for (at, view) in views.iter().enumerate() {
-            self.draw_view(gpu, (&mut *encoder, &*environment), kind, (at, view, dome_m), ground, &mut report);
+            self.draw_view(gpu, (&mut *encoder, &*environment), kind, (at, view, dome_m), (ground, &changed_place), &mut report);
         }
         self.timer.finish(encoder);
         report.passes = self.timer.latest().to_vec();
         report
     }
 
-    /// Layers and composite of one view. `ground` is what of it objects can change.
+    /// Layers and composite of one view. `ground` and `changed_place` are what of ground and place objects can change.
     fn draw_view(
         &mut self,
         gpu: &Gpu,
         (encoder, environment): (&mut wgpu::CommandEncoder, &Environment),
         kind: Kind,
         (at, view, dome_m): (usize, &View<'_>, Option<f32>),
-        ground: Option<Bounds>,
+        (ground, changed_place): (Option<Bounds>, &[Bounds]),
         report: &mut FrameReport,
     ) {
         let plan = report.plan;
@@ -411,7 +417,7 @@ impl Renderer {
         let part = match kind.place && kind.parallax {
             // All of it, so that pixels lie in it as they do without objects.
             true => Some(Part { origin: (0, 0), size: view.size }),
-            false if plan.objects => touched(&view.camera, view.size, &self.stage, ground),
+            false if plan.objects => touched(&view.camera, view.size, &self.stage, (ground, changed_place)),
             false => None,
         };
         let background = Background { dome_m: dome_m.unwrap_or_default(), rays: rays(environment.texels(pixel_rad(view))) };

@@ -14,12 +14,17 @@ use super::models::Models;
 use super::pipelines::{Kind, Use};
 use super::plan::MAX_SHADOWS;
 use super::resources::VIEW_STRIDE;
-use super::shadows::{Frustum, fit_over};
+use super::shadows::{Frustum, LONGEST_SHADOW_M, fit_over};
 use super::stage::{Draw, MAX_INSTANCES, ModelFault, Stage};
 use super::{FrameReport, PLACE_SHADOWS, Renderer, depth_attachment, draw_part};
+use crate::environment::FrameLight;
 use crate::environment::light::tan_radius;
 use crate::scene::mesh::Bounds;
 
+/// Most objects whose shadows on the place are looked at one by one.
+const MOST_CASTERS: usize = 64;
+/// Most boxes that a shadow is taken apart into.
+const MOST_SHADOW_PIECES: usize = 16;
 /// The place's penumbrae have room beside what objects can change as from this far away, metres.
 const PENUMBRA_FROM_M: f32 = 2.0;
 
@@ -87,15 +92,48 @@ impl Stage {
         Ok(())
     }
 
+    /// The parts of the place that objects can change under this light: within their occluders' reach, and in the shadows of the
+    /// first `shadows` lights; all of it where it `mirrors` them, or where they are many.
+    pub(super) fn changed_place(&self, light: &FrameLight, shadows: usize, mirrors: bool) -> Vec<Bounds> {
+        let place = &self.place.bounds;
+        if mirrors || place.is_empty() || self.casters.len() > MOST_CASTERS {
+            return place.clone();
+        }
+        let reached = self.occluders.iter().map(reach);
+        let shaded = light.lights.iter().take(shadows).flat_map(|light| {
+            self.casters.iter().flat_map(|caster| shadow_pieces(light.direction, tan_radius(light.solid_angle_sr), caster, place))
+        });
+        reached.chain(shaded).flat_map(|space| place.iter().filter_map(move |mesh| space.common(mesh))).collect()
+    }
+
     /// One light's view of the place, over all that objects can change: there alone its shadows are asked for.
     pub(super) fn place_frustum(&self, light: &DirectionalLight) -> Frustum {
-        let reach = |occluder: &layout::Occluder| {
-            let (center, reach) = (Vec3::from_array(occluder.center), Vec3::splat(occluder.radius * OCCLUDER_REACH));
-            Bounds { min: center - reach, max: center + reach }
-        };
         let changed: Vec<_> = self.occluders.iter().map(reach).chain(self.casters.iter().copied()).collect();
         fit_over(light.direction, &changed, &self.place.casters, tan_radius(light.solid_angle_sr).min(0.5) * PENUMBRA_FROM_M)
     }
+}
+
+/// What an occluder hides the sky from.
+fn reach(occluder: &layout::Occluder) -> Bounds {
+    let (center, reach) = (Vec3::from_array(occluder.center), Vec3::splat(occluder.radius * OCCLUDER_REACH));
+    Bounds { min: center - reach, max: center + reach }
+}
+
+/// Boxes around a caster's shadow with its penumbra, piece by piece, up to where it leaves these boxes.
+fn shadow_pieces(to_light: Vec3, tan_radius: f32, caster: &Bounds, place: &[Bounds]) -> Vec<Bounds> {
+    let (center, radius) = (caster.center(), caster.half().length());
+    let ends = place.iter().flat_map(Bounds::corners).map(|corner| (center - corner).dot(to_light));
+    let end = (ends.fold(0.0, f32::max) + radius).min(LONGEST_SHADOW_M);
+    let pieces = ((end / (2.0 * radius).max(1e-3)).ceil() as usize).clamp(1, MOST_SHADOW_PIECES);
+    let step = end / pieces as f32;
+    let piece = |at: usize| {
+        let (near, far) = (at as f32 * step, (at + 1) as f32 * step);
+        let side = Vec3::splat(radius + tan_radius * far);
+        Bounds::EMPTY
+            .joined(&Bounds { min: center - to_light * near - side, max: center - to_light * near + side })
+            .joined(&Bounds { min: center - to_light * far - side, max: center - to_light * far + side })
+    };
+    (0..pieces).map(piece).collect()
 }
 
 impl Renderer {

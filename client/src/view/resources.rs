@@ -39,6 +39,8 @@ pub(super) struct Resources {
     pub(super) caster_instances: wgpu::BindGroup,
     pub(super) caster_views: wgpu::BindGroup,
     pub(super) no_layer: wgpu::BindGroup,
+    /// Counts the frame groups made.
+    made: u64,
 }
 
 fn buffer(device: &wgpu::Device, label: &str, size: usize, usage: wgpu::BufferUsages) -> wgpu::Buffer {
@@ -113,6 +115,7 @@ impl Resources {
             caster_instances,
             caster_views,
             no_layer,
+            made: 0,
         }
     }
 
@@ -131,6 +134,7 @@ impl Resources {
             }
             let shared = (&self.views, &self.lighting, &self.instances, &self.occluders);
             self.frame = frame_group(&gpu.device, &layouts.frame, shared, &self.shadow_maps, &self.shadow_sampler);
+            self.made += 1;
             self.caster_instances = instances_group(&gpu.device, &layouts.casters, &self.instances);
         }
         gpu.queue.write_buffer(&self.instances, 0, bytes);
@@ -171,11 +175,16 @@ impl Resources {
         self.written = lighting;
     }
 
-    /// Group 0 of the glass that stands before what a layer holds.
-    pub(super) fn glass_group(&self, gpu: &Gpu, layouts: &Layouts, glass: &GlassLayer) -> wgpu::BindGroup {
+    /// Makes group 0 of the glass that stands before what a layer holds, unless it has it.
+    pub(super) fn keep_glass_group(&self, gpu: &Gpu, layouts: &Layouts, glass: &mut GlassLayer) {
+        if glass.group.as_ref().is_some_and(|(made, _)| *made == self.made) {
+            return;
+        }
         let shared = (&self.views, &self.lighting, &self.instances, &self.occluders);
         let entries = glass_entries(frame_entries(shared, &self.shadow_maps, &self.shadow_sampler), glass);
-        gpu.device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some("glass"), layout: &layouts.glass, entries: &entries })
+        let group =
+            gpu.device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some("glass"), layout: &layouts.glass, entries: &entries });
+        glass.group = Some((self.made, group));
     }
 
     /// Writes a view, and how it shows the video.
@@ -321,6 +330,8 @@ pub(super) struct GlassLayer {
     /// The glass's own far sides.
     pub(super) back: wgpu::TextureView,
     pub(super) back_depth: wgpu::TextureView,
+    /// With the number of the frame's group that it goes with.
+    pub(super) group: Option<(u64, wgpu::BindGroup)>,
 }
 
 impl Layer {
@@ -339,6 +350,7 @@ impl Layer {
                 drawn_depth,
                 back: view(&make("glass, far sides", 1, BACK_FORMAT, attachment | bound)),
                 back_depth: view(&make("glass, far depth", 1, DEPTH_FORMAT, attachment)),
+                group: None,
             }
         });
         Self {

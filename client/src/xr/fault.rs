@@ -44,6 +44,14 @@ impl Fault {
         }
     }
 
+    /// The same where a session was under way: a runtime that fails then has ended, whatever code it has left for that.
+    pub(super) fn within_session(self) -> Self {
+        match self {
+            Self::Later(detail) => Self::Lost(format!("the OpenXR runtime has ended: {detail}")),
+            fault => fault,
+        }
+    }
+
     /// As the frame loop knows it.
     pub(super) fn into_frame_error(self, action: &'static str) -> FrameError {
         match self {
@@ -66,6 +74,9 @@ mod tests {
         assert!(matches!(fault(Code::ERROR_RUNTIME_FAILURE), Fault::Later(text) if text.contains("connecting") && text.contains("start")));
         assert!(matches!(fault(Code::ERROR_FORM_FACTOR_UNAVAILABLE), Fault::Later(text) if text.contains("plug")));
         assert!(matches!(fault(Code::ERROR_HANDLE_INVALID), Fault::Failed(_)));
+        // Runtimes that are killed do not always say so.
+        assert!(matches!(fault(Code::ERROR_RUNTIME_FAILURE).within_session(), Fault::Lost(text) if text.contains("has ended")));
+        assert!(matches!(fault(Code::ERROR_HANDLE_INVALID).within_session(), Fault::Failed(_)));
         // What is lost is opened anew, as a lost GPU is.
         for code in [Code::ERROR_INSTANCE_LOST, Code::ERROR_SESSION_LOST] {
             assert!(matches!(fault(code).into_frame_error("presenting"), FrameError::DeviceLost { .. }), "{code:?}");

@@ -17,7 +17,7 @@ use super::swapchain::{self, Content, Swapchain};
 use crate::camera::Camera;
 use crate::frame_loop::{FrameError, HeadsetTimes, PictureTime, Presented, Presenter, Shot, Target};
 use crate::gpu::Gpu;
-use crate::hands::{HandInput, HandsInput, Haptic, Pose};
+use crate::hands::{HandInput, HandsInput, Haptic, Placing, PlacingChange, Pose};
 use crate::sync::ClientClock;
 use crate::viewpoint::Viewpoint;
 
@@ -30,6 +30,14 @@ pub(super) enum Standing {
     Stopped,
     /// The user has ended the program from within the headset.
     Ended,
+}
+
+/// What outlives a session.
+#[derive(Debug, Default)]
+pub(super) struct Viewer {
+    pace: Pace,
+    /// How the space above the floor lies in the world.
+    placing: Placing,
 }
 
 /// A frame between its beginning and its end.
@@ -61,9 +69,10 @@ pub(super) struct Headset<'a> {
     eyes: Option<&'a mut EyeRecorder>,
     running: bool,
     begun: Option<Begun>,
-    pace: &'a mut Pace,
+    viewer: &'a mut Viewer,
     ground_y: f32,
     hands: [HandInput; 2],
+    /// Above the floor.
     head: Pose,
 }
 
@@ -77,7 +86,7 @@ impl<'a> Headset<'a> {
         gpu: &Gpu,
         handles: &Handles,
         clock: ClientClock,
-        pace: &'a mut Pace,
+        viewer: &'a mut Viewer,
         eyes: Option<&'a mut EyeRecorder>,
     ) -> Result<Self, Fault> {
         let (session, waiter, stream) = graphics::begin_session(&runtime, gpu, handles)?;
@@ -87,7 +96,7 @@ impl<'a> Headset<'a> {
         let depth = depth.map(|format| Swapchain::new(&session, gpu, Content::Depth, format, runtime.eye_size)).transpose()?;
         let colour = Swapchain::new(&session, gpu, Content::Colour, colour, runtime.eye_size)?;
         tracing::info!(format = ?colour.format, depth = depth.is_some(), "session with the headset");
-        pace.rests();
+        viewer.pace.rests();
         Ok(Self {
             colour,
             depth,
@@ -103,7 +112,7 @@ impl<'a> Headset<'a> {
             eyes,
             running: false,
             begun: None,
-            pace,
+            viewer,
             ground_y: 0.0,
             hands: [HandInput::default(); 2],
             head: Pose::IDENTITY,
@@ -150,7 +159,7 @@ impl<'a> Headset<'a> {
             }
             xr::SessionState::STOPPING => {
                 self.running = false;
-                self.pace.rests();
+                self.viewer.pace.rests();
                 self.session.end().map_err(|code| Fault::of("ending to show", code))?;
             }
             xr::SessionState::LOSS_PENDING => return Err(Fault::Lost("the headset is about to be lost".to_owned())),
@@ -170,9 +179,9 @@ impl<'a> Headset<'a> {
         let (display, should_render) = (state.predicted_display_time, state.should_render);
         let period_ns = state.predicted_display_period.as_nanos();
         if should_render {
-            self.pace.displays_at(display.as_nanos(), period_ns);
+            self.viewer.pace.displays_at(display.as_nanos(), period_ns);
         } else {
-            self.pace.rests();
+            self.viewer.pace.rests();
         }
         self.begun = Some(Begun { called_for, display, should_render, views: Vec::new(), cameras: Vec::new(), pose_read: None, waits: 0 });
         Ok(should_render.then(|| Duration::from_nanos(u64::try_from(period_ns).unwrap_or(0))))
@@ -185,13 +194,24 @@ impl<'a> Headset<'a> {
     pub(super) fn read_hands(&mut self) -> Result<HandsInput, Fault> {
         let failed = |code| Fault::of("reading the controllers", code);
         let Some(display) = self.begun.as_ref().map(|begun| begun.display) else {
-            return Ok(HandsInput { hands: self.hands, head: self.head, now: self.clock.now() });
+            return Ok(HandsInput { hands: self.hands, head: self.viewer.placing.in_world(&self.head), now: self.clock.now() });
         };
         self.hands = self.controllers.read(&self.session, &self.spaces, display, self.ground_y).map_err(failed)?;
+        let placing = self.viewer.placing;
+        for pose in self.hands.iter_mut().flat_map(|hand| [&mut hand.grip, &mut hand.aim]).flatten() {
+            *pose = placing.in_world(pose);
+        }
         self.head = self.spaces.head(display, self.ground_y).map_err(failed)?.unwrap_or(self.head);
         let ahead_us = self.runtime.now().map_or(0, |now| u64::try_from((display.as_nanos() - now.as_nanos()) / 1_000).unwrap_or(0));
         let now = ClientTime(self.clock.now().0.saturating_add(ahead_us));
-        Ok(HandsInput { hands: self.hands, head: self.head, now })
+        Ok(HandsInput { hands: self.hands, head: placing.in_world(&self.head), now })
+    }
+
+    /// Takes wishes of the viewer for where and how large they are.
+    pub(super) fn place(&mut self, changes: &[PlacingChange]) {
+        for change in changes {
+            self.viewer.placing.change(*change, &self.head);
+        }
     }
 
     /// Plays pulses, left and right.
@@ -223,7 +243,12 @@ impl<'a> Headset<'a> {
         let located = self.session.locate_views(VIEWS, begun.display, &self.spaces.floor);
         let (flags, views) = located.map_err(|code| Fault::of("locating the eyes", code))?;
         let ground_y = self.ground_y;
-        let cameras = views.iter().zip([false, true]).map(|(view, right_eye)| space::camera(view, flags, ground_y, right_eye));
+        let placing = self.viewer.placing;
+        let placed = |camera: Camera| {
+            let pose = placing.in_world(&Pose { position: camera.position, orientation: camera.world_from_view });
+            Camera { position: pose.position, world_from_view: pose.orientation, ..camera }
+        };
+        let cameras = views.iter().zip([false, true]).map(|(view, right_eye)| space::camera(view, flags, ground_y, right_eye).map(placed));
         let Some(cameras) = cameras.collect::<Option<Vec<_>>>().filter(|cameras| cameras.len() == 2) else { return Ok(None) };
         let Some((_, targets)) = self.colour.held() else { return Ok(None) };
         let depths = self.depth.as_ref().and_then(Swapchain::held).map(|(_, views)| views);
@@ -252,11 +277,12 @@ impl<'a> Headset<'a> {
             depth.release().map_err(released)?;
         }
         let when = (begun.display, self.runtime.blend);
-        layers::end(&mut self.stream, when, (&self.spaces.floor, &begun.views), &self.colour, self.depth.as_ref())
+        let depth = self.depth.as_ref().map(|depth| (depth, self.viewer.placing.scale()));
+        layers::end(&mut self.stream, when, (&self.spaces.floor, &begun.views), &self.colour, depth)
             .map_err(|code| Fault::of("ending a frame", code))?;
         let pose_to_photon_us = begun.pose_read.and_then(|read| u64::try_from((begun.display.as_nanos() - read.as_nanos()) / 1_000).ok());
         let frame_us = self.clock.now().0.saturating_sub(begun.called_for.0);
-        let headset = HeadsetTimes { pose_to_photon_us, frame_us, missed: self.pace.missed() };
+        let headset = HeadsetTimes { pose_to_photon_us, frame_us, missed: self.viewer.pace.missed() };
         Ok(Presented { gpu_waits: begun.waits, headset: Some(headset) })
     }
 
@@ -266,17 +292,18 @@ impl<'a> Headset<'a> {
         let Some((texture, _)) = self.colour.held() else { return };
         let aspect = self.colour.size.0 as f32 / self.colour.size.1 as f32;
         let views = begun.cameras.iter().map(|camera| Viewpoint::of(camera, aspect)).collect();
-        let kept = Kept { frame, pts_us: shown.pts_us, views, hands: self.hands, head: self.head };
+        let head = self.viewer.placing.in_world(&self.head);
+        let kept = Kept { frame, pts_us: shown.pts_us, views, hands: self.hands, head };
         eyes.keep(&self.device, &self.queue, texture, kept, now);
     }
 }
 
 impl Presenter for Headset<'_> {
     fn acquire(&mut self, _camera: &Camera) -> Result<Option<Vec<Shot>>, FrameError> {
-        self.look().map_err(|fault| fault.into_frame_error("looking from the headset"))
+        self.look().map_err(|fault| fault.within_session().into_frame_error("looking from the headset"))
     }
 
     fn present(&mut self, shown: PictureTime, _now: ClientTime) -> Result<Presented, FrameError> {
-        self.show(shown).map_err(|fault| fault.into_frame_error("presenting to the headset"))
+        self.show(shown).map_err(|fault| fault.within_session().into_frame_error("presenting to the headset"))
     }
 }

@@ -7,7 +7,8 @@ use openxr as xr;
 use super::swapchain::Swapchain;
 use crate::camera::Camera;
 
-/// Ends a frame with both eyes' pictures, drawn from `views` located in `space`, and their depth where there is one.
+/// Ends a frame with both eyes' pictures, drawn from `views` located in `space`, and their depth where there is one, with so many of its metres
+/// to one of the viewer's.
 ///
 /// # Errors
 /// The runtime's.
@@ -16,7 +17,7 @@ pub(super) fn end(
     (time, blend): (xr::Time, xr::EnvironmentBlendMode),
     (space, views): (&xr::Space, &[xr::View]),
     colour: &Swapchain,
-    depth: Option<&Swapchain>,
+    depth: Option<(&Swapchain, f32)>,
 ) -> Result<(), xr::sys::Result> {
     let depths: Vec<_> = depth.map_or_else(Vec::new, |depth| (0..views.len() as u32).map(|layer| depth_info(depth, layer)).collect());
     let projected: Vec<_> = views
@@ -40,7 +41,7 @@ fn sub_image(swapchain: &Swapchain, layer: u32) -> xr::SwapchainSubImage<'_, xr:
 }
 
 /// Depth as the camera's projection makes it: reversed and without a far plane.
-fn depth_info(depth: &Swapchain, layer: u32) -> xr::sys::CompositionLayerDepthInfoKHR {
+fn depth_info((depth, scale): (&Swapchain, f32), layer: u32) -> xr::sys::CompositionLayerDepthInfoKHR {
     xr::sys::CompositionLayerDepthInfoKHR {
         ty: xr::sys::CompositionLayerDepthInfoKHR::TYPE,
         next: std::ptr::null(),
@@ -48,7 +49,7 @@ fn depth_info(depth: &Swapchain, layer: u32) -> xr::sys::CompositionLayerDepthIn
         min_depth: 0.0,
         max_depth: 1.0,
         near_z: f32::INFINITY,
-        far_z: Camera::NEAR_M,
+        far_z: Camera::NEAR_M / scale,
     }
 }
 

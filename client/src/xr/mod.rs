@@ -20,17 +20,17 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use mr360_protocol::clock::ClientTime;
+use mr360_protocol::intent::Action;
 
 pub use self::eyes::EyeRecorder;
 
 use self::fault::Fault;
-use self::headset::{Headset, Standing};
-use self::pace::Pace;
+use self::headset::{Headset, Standing, Viewer};
 use self::runtime::{Loader, Runtime};
 use crate::camera::Camera;
 use crate::frame_loop::{BoxError, FrameError, FrameLoop, Redraw, Stage};
 use crate::gpu::Gpu;
-use crate::hands::{HandsInput, Haptic};
+use crate::hands::Hands;
 
 /// From one look for a headset to the next.
 const RETRY: Duration = Duration::from_secs(2);
@@ -78,10 +78,8 @@ pub enum XrError {
 pub struct Surroundings<'a, S> {
     /// Makes the renderer on the headset's GPU, and again when it was lost.
     pub open: &'a mut dyn FnMut(Gpu) -> Result<S, BoxError>,
-    /// Height of the scene's ground, on which the viewer's floor is laid, metres.
-    pub ground_y: &'a dyn Fn() -> f32,
-    /// Told of head and hands before every frame; answers with pulses for the left and the right hand.
-    pub act: &'a mut dyn FnMut(&HandsInput, &mut S) -> [Option<Haptic>; 2],
+    /// Hands on to the server what the user wishes; must not block.
+    pub act: &'a mut dyn FnMut(Action),
     /// Keeps what the eyes saw.
     pub eyes: Option<EyeRecorder>,
 }
@@ -94,12 +92,12 @@ pub struct Surroundings<'a, S> {
 pub fn run<S: Stage>(frames: &mut FrameLoop, options: &XrOptions, mut surroundings: Surroundings<'_, S>) -> Result<u64, XrError> {
     let limits = Limits { options, begin: Instant::now(), first_frame: frames.frames() };
     let loader = Loader::load().map_err(given_up)?;
-    let mut pace = Pace::default();
+    let mut viewer = Viewer::default();
     let mut told = None;
     let mut lost = 0;
     while !limits.are_reached(frames) {
         let before = frames.frames();
-        let Err(fault) = session(frames, &limits, &loader, &mut surroundings, &mut pace) else { break };
+        let Err(fault) = session(frames, &limits, &loader, &mut surroundings, &mut viewer) else { break };
         frames.device_lost();
         if frames.frames() > before {
             (told, lost) = (None, 0);
@@ -168,16 +166,17 @@ fn session<S: Stage>(
     limits: &Limits<'_>,
     loader: &Loader,
     surroundings: &mut Surroundings<'_, S>,
-    pace: &mut Pace,
+    viewer: &mut Viewer,
 ) -> Result<(), Fault> {
     let runtime = Runtime::open(loader)?;
     let (gpu, handles) = graphics::open(&runtime)?;
-    let Surroundings { open, ground_y, act, eyes } = surroundings;
-    let mut headset = Headset::new(runtime, &gpu, &handles, frames.clock(), pace, eyes.as_mut())?;
+    let Surroundings { open, act, eyes } = surroundings;
+    let mut headset = Headset::new(runtime, &gpu, &handles, frames.clock(), viewer, eyes.as_mut())?;
     let mut stage = open(gpu).map_err(Fault::Open)?;
+    let mut hands = Hands::default();
     while !limits.are_reached(frames) {
-        let ended = match headset.listen(ground_y())? {
-            Standing::Running => frame(frames, &mut headset, &mut stage, act)?,
+        let ended = match headset.listen(stage.ground_y()).map_err(Fault::within_session)? {
+            Standing::Running => frame(frames, &mut headset, &mut stage, &mut hands, act).map_err(Fault::within_session)?,
             Standing::Stopped => pass_for(frames, limits, LISTEN),
             Standing::Ended => {
                 limits.options.stop.store(true, Ordering::Relaxed);
@@ -196,12 +195,19 @@ fn frame<S: Stage>(
     frames: &mut FrameLoop,
     headset: &mut Headset<'_>,
     stage: &mut S,
-    act: &mut dyn FnMut(&HandsInput, &mut S) -> [Option<Haptic>; 2],
+    hands: &mut Hands,
+    act: &mut dyn FnMut(Action),
 ) -> Result<bool, Fault> {
     let turn = if let Some(interval) = headset.begin()? {
         stage.set_interval(u32::try_from(interval.as_micros()).unwrap_or(u32::MAX));
-        let hands = headset.read_hands()?;
-        headset.pulse(act(&hands, stage))?;
+        let out = hands.update(&headset.read_hands()?, stage);
+        headset.pulse(out.haptics)?;
+        headset.place(&out.placing);
+        stage.show_local(&out.drawn);
+        // Shown at once, decided by the server.
+        let now = frames.clock().now();
+        out.actions.iter().for_each(|action| stage.predict(action, now));
+        out.actions.into_iter().for_each(act);
         // Where the viewer is comes from the headset; this camera is nobody's.
         frames.turn(stage, headset, &Camera::looking(0.0, 0.0, 1.0), Redraw::Always).map_err(Fault::Frame)
     } else {

@@ -1,5 +1,6 @@
 //! A working panorama in coarse: the mean radiance of squares of its texels.
 
+#[cfg(test)]
 use glam::Vec3;
 use pulp::{Arch, Simd, WithSimd};
 
@@ -49,6 +50,7 @@ impl Cells {
     }
 
     /// Mean radiance of the cell with this index.
+    #[cfg(test)]
     pub(super) fn radiance(&self, cell: usize) -> Vec3 {
         Vec3::new(self.channels[0][cell], self.channels[1][cell], self.channels[2][cell])
     }

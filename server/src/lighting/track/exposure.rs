@@ -35,7 +35,7 @@ const CUT_SHARE: f64 = 0.35;
 #[derive(Default)]
 pub(in super::super) struct Coarse {
     cells: Option<Cells>,
-    radiance: Vec<Vec3>,
+    radiance: Planes,
     directions: Vec<(Vec3, f32)>,
 }
 
@@ -49,29 +49,23 @@ impl Coarse {
         self.look();
         let cells = self.cells.get_or_insert_with(|| Cells::new(panorama.size, panorama.size.width / COLUMNS as u32));
         cells.take(panorama);
-        self.radiance.clear();
-        self.radiance.extend((0..COLUMNS * ROWS).map(|cell| cells.radiance(cell)));
+        self.radiance.iter_mut().zip(&cells.channels).for_each(|(plane, cells)| plane.clone_from(cells));
     }
 
     /// Averages cells that hold mean radiance, `columns` in a row and half as many rows: powers of two. Of fewer than are needed, each is repeated.
-    pub(in super::super) fn take_cells(&mut self, cells: &Planes, columns: usize) {
+    pub(in super::super) fn take_cells(&mut self, radiance: &Planes, columns: usize) {
         self.look();
         let rows = columns / 2;
         let side = (columns / COLUMNS).max(1);
-        self.radiance.clear();
-        self.radiance.resize(COLUMNS * ROWS, Vec3::ZERO);
-        for (row, texels) in self.radiance.chunks_exact_mut(COLUMNS).enumerate() {
+        self.radiance.iter_mut().for_each(|plane| plane.resize(COLUMNS * ROWS, 0.0));
+        for row in 0..ROWS {
             let first = row * rows / ROWS;
             let cell_sr = |row: usize| pixel_solid_angle_sr(row as u32, columns as u32, rows as u32);
             let whole: f32 = (first..first + side).map(cell_sr).sum::<f32>() * side as f32;
-            for row in first..first + side {
-                let share = cell_sr(row) / whole;
-                for (column, texel) in texels.iter_mut().enumerate() {
-                    let first = row * columns + column * columns / COLUMNS;
-                    let [red, green, blue] = [0, 1, 2].map(|channel: usize| &cells[channel][first..first + side]);
-                    for ((red, green), blue) in red.iter().zip(green).zip(blue) {
-                        *texel += share * Vec3::new(*red, *green, *blue);
-                    }
+            for below in 0..side {
+                let (share, cells) = (cell_sr(first + below) / whole, (first + below) * columns..(first + below + 1) * columns);
+                for (plane, channel) in self.radiance.iter_mut().zip(cells_of(cells, radiance)) {
+                    add_row(&mut plane[row * COLUMNS..(row + 1) * COLUMNS], channel, share, below == 0);
                 }
             }
         }
@@ -82,8 +76,10 @@ impl Coarse {
         let (width, height) = (panorama.size.width as usize, panorama.size.height as usize);
         self.look();
         let under = |texel: usize| texel / COLUMNS * height / ROWS * width + texel % COLUMNS * width / COLUMNS;
-        self.radiance.clear();
-        self.radiance.extend((0..COLUMNS * ROWS).map(|texel| panorama.radiance(under(texel))));
+        for (plane, channel) in self.radiance.iter_mut().zip(&panorama.channels) {
+            plane.clear();
+            plane.extend((0..COLUMNS * ROWS).map(|texel| channel[under(texel)]));
+        }
     }
 
     /// Works out where the texels look, once.
@@ -99,14 +95,42 @@ impl Coarse {
 
     /// Irradiance that the texels within an angle of a direction give on a surface facing them; `cosine` is the angle's.
     pub(super) fn within(&self, direction: Vec3, cosine: f32) -> DVec3 {
-        let near = self.directions.iter().zip(&self.radiance).filter(|((middle, _), _)| middle.dot(direction) >= cosine);
-        near.map(|((_, solid_angle_sr), radiance)| (*radiance * *solid_angle_sr).as_dvec3()).sum()
+        let near = self.directions.iter().enumerate().filter(|(_, (middle, _))| middle.dot(direction) >= cosine);
+        near.map(|(texel, (_, solid_angle_sr))| (self.at(texel) * *solid_angle_sr).as_dvec3()).sum()
     }
 
     fn mean_luminance(&self) -> f32 {
         let sum: f32 =
-            self.directions.iter().zip(&self.radiance).map(|((_, solid_angle_sr), radiance)| luminance(*radiance) * solid_angle_sr).sum();
+            self.directions.iter().enumerate().map(|(texel, (_, solid_angle_sr))| luminance(self.at(texel)) * solid_angle_sr).sum();
         sum / (4.0 * std::f32::consts::PI)
+    }
+
+    fn at(&self, texel: usize) -> Vec3 {
+        Vec3::from_array([0, 1, 2].map(|channel: usize| self.radiance[channel][texel]))
+    }
+}
+
+/// A row of cells of each plane.
+fn cells_of(cells: std::ops::Range<usize>, planes: &Planes) -> [&[f32]; 3] {
+    planes.each_ref().map(|plane| &plane[cells.clone()])
+}
+
+/// Adds a row of cells by their share to the texels that they are in, or to nothing; fewer cells than texels are repeated.
+fn add_row(texels: &mut [f32], cells: &[f32], share: f32, first: bool) {
+    if first {
+        texels.fill(0.0);
+    }
+    // Nearly always two cells a texel: pairs are added many at once.
+    if cells.len() == 2 * texels.len() {
+        for (texel, [a, b]) in texels.iter_mut().zip(cells.as_chunks().0) {
+            *texel += share * (a + b);
+        }
+    } else if cells.len() > texels.len() {
+        let side = cells.len() / texels.len();
+        texels.iter_mut().zip(cells.chunks_exact(side)).for_each(|(texel, cells)| *texel += share * cells.iter().sum::<f32>());
+    } else {
+        let count = texels.len();
+        (0..).zip(texels).for_each(|(texel, sum)| *sum += share * cells[texel * cells.len() / count]);
     }
 }
 
@@ -157,8 +181,7 @@ pub(super) struct Exposure {
     /// Luminance of the last frame; empty if there is none.
     before: Vec<f32>,
     gain: DVec3,
-    /// Radiance of this frame channel by channel, its logarithm, and its luminance.
-    radiance: Planes,
+    /// Logarithm of this frame's radiance, channel by channel, and its luminance.
     logarithms: Planes,
     luminance: Vec<f32>,
     /// Logarithms of ratios as integers of the same order.
@@ -173,7 +196,6 @@ impl Default for Exposure {
             reference: std::array::from_fn(|_| vec![f32::NAN; COLUMNS * ROWS]),
             before: Vec::with_capacity(COLUMNS * ROWS),
             gain: DVec3::ZERO,
-            radiance: std::array::from_fn(|_| texels()),
             logarithms: std::array::from_fn(|_| texels()),
             luminance: texels(),
             ratios: vec![0; COLUMNS * ROWS],
@@ -225,11 +247,9 @@ const MIDDLE: std::ops::Range<usize> = FIRST_ROW * COLUMNS..(ROWS - FIRST_ROW) *
 impl Measure<'_> {
     #[inline(always)]
     fn take(&mut self) {
-        let Exposure { radiance: [red, green, blue], logarithms, luminance, .. } = &mut *self.exposure;
-        for (texel, radiance) in self.coarse.radiance.iter().enumerate().take(COLUMNS * ROWS) {
-            (red[texel], green[texel], blue[texel]) = (radiance.x, radiance.y, radiance.z);
-        }
-        for (((luminance, r), g), b) in luminance.iter_mut().zip(&*red).zip(&*green).zip(&*blue) {
+        let Exposure { logarithms, luminance, .. } = &mut *self.exposure;
+        let [red, green, blue] = &self.coarse.radiance;
+        for (((luminance, r), g), b) in luminance.iter_mut().zip(red).zip(green).zip(blue) {
             *luminance = LUMA.x * r + LUMA.y * g + LUMA.z * b;
         }
         for (logarithms, radiance) in logarithms.iter_mut().zip([red, green, blue]) {
@@ -241,7 +261,8 @@ impl Measure<'_> {
 
     #[inline(always)]
     fn channel_gain(&mut self, channel: usize) -> f64 {
-        let Exposure { reference, radiance, logarithms, ratios, gain, .. } = &mut *self.exposure;
+        let Exposure { reference, logarithms, ratios, gain, .. } = &mut *self.exposure;
+        let radiance = &self.coarse.radiance;
         let texels = radiance[channel][MIDDLE].iter().zip(&logarithms[channel][MIDDLE]).zip(&reference[channel][MIDDLE]);
         let mut count = 0;
         // Written wherever it belongs and kept where it counts: which texels do is no pattern that a processor could foresee.
@@ -275,7 +296,8 @@ impl Measure<'_> {
 
     #[inline(always)]
     fn renew(&mut self) {
-        let Exposure { reference, before, gain, radiance, logarithms, luminance, .. } = &mut *self.exposure;
+        let Exposure { reference, before, gain, logarithms, luminance, .. } = &mut *self.exposure;
+        let radiance = &self.coarse.radiance;
         for channel in 0..3 {
             let gain = gain[channel] as f32;
             let texels = radiance[channel].iter().zip(&logarithms[channel]);
@@ -371,9 +393,9 @@ mod tests {
             expected.take(&panorama);
             // Twice: nothing of the first frame may stay.
             (0..2).for_each(|_| got.take_cells(&panorama.channels, width as usize));
-            assert_eq!(got.radiance.len(), expected.radiance.len());
-            for (got, expected) in got.radiance.iter().zip(&expected.radiance) {
-                assert!((*got - *expected).abs().max_element() < 1e-5 * expected.max_element(), "{width}: {got} against {expected}");
+            for texel in 0..COLUMNS * ROWS {
+                let (got, expected) = (got.at(texel), expected.at(texel));
+                assert!((got - expected).abs().max_element() < 1e-5 * expected.max_element(), "{width}: {got} against {expected}");
             }
         }
     }
@@ -394,7 +416,10 @@ mod tests {
         let mut exposure = Exposure::default();
         exposure.measure(&place(8, Vec3::ONE), false, 0.0);
         let mut lit = place(8, Vec3::ONE);
-        lit.radiance.chunks_mut(COLUMNS).for_each(|row| row[..COLUMNS / 4].iter_mut().for_each(|texel| *texel *= 2.0));
+        lit.radiance
+            .iter_mut()
+            .flat_map(|plane| plane.chunks_mut(COLUMNS))
+            .for_each(|row| row[..COLUMNS / 4].iter_mut().for_each(|texel| *texel *= 2.0));
         let change = exposure.measure(&lit, false, 1.0 / 30.0);
         assert!(change.gain.abs().max_element() < 1e-5 && !change.cut, "{change:?}");
         assert!(exposure.measure(&place(6, Vec3::ONE), false, 1.0 / 30.0).cut);
