@@ -26,7 +26,7 @@ pub(super) struct Trigger {
 impl Trigger {
     /// 0 to 1; what is no number is taken as before.
     pub(super) fn update(&mut self, value: f32) -> Edge {
-        let down = if self.down { !(value < LET_GO) } else { value > PRESS };
+        let down = if self.down { value >= LET_GO || value.is_nan() } else { value > PRESS };
         match (std::mem::replace(&mut self.down, down), down) {
             (false, true) => Edge::Pressed,
             (true, false) => Edge::Released,

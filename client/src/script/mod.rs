@@ -80,6 +80,8 @@ struct BothHands {
 
 /// Something that was done.
 #[derive(Debug, Clone, PartialEq)]
+// A script is of one kind or the other, and mostly of hands.
+#[allow(clippy::large_enum_variant)]
 pub enum Deed {
     /// Hands of a frame; what they came to is for the player to find.
     Hands(HandsInput),

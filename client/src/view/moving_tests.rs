@@ -114,10 +114,11 @@ fn rays_throw_no_shadow_hide_no_light_and_cannot_be_picked() {
     let bare = things();
     frames.set(&bare);
     let without = frames.draw();
-    let pose =
-        crate::hands::Pose { position: Vec3::new(-1.6, -0.2, -3.0), orientation: Quat::from_rotation_y(-std::f32::consts::FRAC_PI_2) };
+    // Among the things, so that the same part of the image is drawn.
+    let (begin, length) = (Vec3::new(-0.7, -0.8, -3.0), 1.4);
+    let pose = crate::hands::Pose { position: begin, orientation: Quat::from_rotation_y(-std::f32::consts::FRAC_PI_2) };
     let ray = |casts: bool| {
-        let mut drawn = looks::ray(&pose, 3.2);
+        let mut drawn = looks::ray(&pose, length);
         // As thick as two pixels, so that every sample meets it.
         drawn.transform.scale *= Vec3::new(15.0, 1.0, 15.0);
         let local = Object {
@@ -131,16 +132,16 @@ fn rays_throw_no_shadow_hide_no_light_and_cannot_be_picked() {
     };
     frames.set(&ray(false));
     let with = frames.draw();
-    let line: Vec<usize> = (0..=320).map(|i| pixel_of(&camera(), pose.position + Vec3::X * (i as f32 * 0.01))).collect();
+    let line: Vec<usize> = (0..=140).map(|i| pixel_of(&camera(), pose.position + Vec3::X * (i as f32 * 0.01))).collect();
     let near = |i: usize| {
         line.iter()
             .any(|l| (i % SIZE.0 as usize).abs_diff(l % SIZE.0 as usize) <= 2 && (i / SIZE.0 as usize).abs_diff(l / SIZE.0 as usize) <= 2)
     };
     let changed: Vec<usize> = (0..with.len()).filter(|i| with[*i] != without[*i]).collect();
     assert!(changed.len() > 50, "the ray is not seen: {}", changed.len());
-    let elsewhere = changed.iter().filter(|i| !near(**i)).count();
-    // But for the mirror ball, which no ray is reflected in, nothing else may know of it.
-    assert_eq!(elsewhere, 0);
+    let elsewhere: Vec<_> = changed.iter().filter(|i| !near(**i)).map(|i| (i % SIZE.0 as usize, i / SIZE.0 as usize)).collect();
+    // Not even a mirror shows it, nor the ground its shade.
+    assert!(elsewhere.is_empty(), "{elsewhere:?} changed, beside the ray");
     let along = Ray { origin: pose.position + Vec3::Z, direction: Vec3::NEG_Z };
     assert_eq!(frames.renderer.pick(&along).map(|(id, _)| id).filter(|id| *id == local_id(0, false)), None);
     // It moves and grows in the layout as it is.

@@ -353,8 +353,11 @@ fn instance(placed: &Placed<'_>, part: &GpuPart) -> layout::Instance {
     }
 }
 
+/// Which of the spheres stand for which object.
+type Whose = Vec<(ObjectId, Range<usize>)>;
+
 /// The spheres that stand for the objects, how many found no room, and which are whose, where all did.
-fn occluders(placed: &[Placed<'_>]) -> (Vec<layout::Occluder>, usize, Vec<(ObjectId, Range<usize>)>) {
+fn occluders(placed: &[Placed<'_>]) -> (Vec<layout::Occluder>, usize, Whose) {
     let casting = || placed.iter().filter(|placed| casts(placed.object.id));
     let mut all = Vec::new();
     let mut ranges = Vec::new();
