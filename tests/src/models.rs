@@ -45,7 +45,7 @@ impl Glb {
 
     /// The same with this material.
     #[must_use]
-    pub fn with_material(mut self, material: Value) -> Self {
+    pub fn with_material(mut self, material: &Value) -> Self {
         self.json["materials"] = json!([material]);
         self
     }

@@ -44,13 +44,16 @@ impl Point {
     }
 
     /// Mean over the panoramas.
-    fn error(&self, of: fn(&Drawn) -> f64) -> f64 {
+    fn error(&self, of: Error) -> f64 {
         self.pictures.iter().map(of).sum::<f64>() / self.pictures.len().max(1) as f64
     }
 }
 
+/// Of a picture.
+type Error = fn(&Drawn) -> f64;
+
 /// What is drawn against time.
-const ERRORS: [(&str, fn(&Drawn) -> f64); 2] = [("FLIP", |drawn| drawn.flip), ("RMSE", |drawn| drawn.rmse)];
+const ERRORS: [(&str, Error); 2] = [("FLIP", |drawn| drawn.flip), ("RMSE", |drawn| drawn.rmse)];
 
 /// Draws, times and compares everything, writes `render-methods.csv` and `render-methods.svg`, and returns the section of the summary.
 ///
@@ -114,7 +117,7 @@ fn write(out: &Path, points: &[Point], size: (u32, u32)) -> Result<String> {
     ))
 }
 
-fn chart(points: &[Point], name: &str, of: fn(&Drawn) -> f64, front: &[(f64, f64)]) -> Chart {
+fn chart(points: &[Point], name: &str, of: Error, front: &[(f64, f64)]) -> Chart {
     let line = |(_, method): (Reflections, &'static str)| Series {
         name: method.to_owned(),
         points: points.iter().filter(|point| point.method == method).map(|point| (point.time_ms(), point.error(of))).collect(),

@@ -40,8 +40,8 @@ pub(crate) fn all() -> Result<Vec<(&'static str, Scene, Models)>> {
         ("textured", textured()?, ON_GROUND),
         ("mask", holed("MASK")?, ON_GROUND),
         ("blend", holed("BLEND")?, ON_GROUND),
-        ("emissive", ball(24).with_material(emissive()), ON_GROUND),
-        ("skinned", bending_post().with_material(json!({ "pbrMetallicRoughness": { "metallicFactor": 0.0, "roughnessFactor": 0.6 } })), {
+        ("emissive", ball(24).with_material(&emissive()), ON_GROUND),
+        ("skinned", bending_post().with_material(&json!({ "pbrMetallicRoughness": { "metallicFactor": 0.0, "roughnessFactor": 0.6 } })), {
             Vec3::new(-0.1, -1.6, -3.0)
         }),
     ];
@@ -91,7 +91,7 @@ fn textured() -> Result<Glb> {
         [x, y, z, 255]
     };
     let normal = file.texture(&image(normal))?;
-    Ok(file.with_material(json!({
+    Ok(file.with_material(&json!({
         "pbrMetallicRoughness": { "baseColorTexture": { "index": base }, "metallicRoughnessTexture": { "index": rough } },
         "normalTexture": { "index": normal },
     })))
@@ -102,7 +102,7 @@ fn holed(mode: &str) -> Result<Glb> {
     let mut file = ball(24);
     let clear = if mode == "MASK" { 0 } else { 128 };
     let base = file.texture(&image(|x, y| if chequer(x, y) { [200, 60, 40, 255] } else { [60, 180, 80, clear] }))?;
-    Ok(file.with_material(json!({
+    Ok(file.with_material(&json!({
         "alphaMode": mode, "doubleSided": true,
         "pbrMetallicRoughness": { "baseColorTexture": { "index": base }, "metallicFactor": 0.0, "roughnessFactor": 0.5 },
     })))
