@@ -416,7 +416,10 @@ mod tests {
         let mut exposure = Exposure::default();
         exposure.measure(&place(8, Vec3::ONE), false, 0.0);
         let mut lit = place(8, Vec3::ONE);
-        lit.radiance.iter_mut().flat_map(|plane| plane.chunks_mut(COLUMNS)).for_each(|row| row[..COLUMNS / 4].iter_mut().for_each(|texel| *texel *= 2.0));
+        lit.radiance
+            .iter_mut()
+            .flat_map(|plane| plane.chunks_mut(COLUMNS))
+            .for_each(|row| row[..COLUMNS / 4].iter_mut().for_each(|texel| *texel *= 2.0));
         let change = exposure.measure(&lit, false, 1.0 / 30.0);
         assert!(change.gain.abs().max_element() < 1e-5 && !change.cut, "{change:?}");
         assert!(exposure.measure(&place(6, Vec3::ONE), false, 1.0 / 30.0).cut);
