@@ -26,6 +26,8 @@ pub(super) struct Scene<'a> {
     pub(super) panorama: &'a Panorama,
     /// Above the threshold.
     pub(super) regions: &'a Regions,
+    /// Luminance of the upper hemisphere.
+    pub(super) luminance: &'a [f32],
     /// Degree to which each texel is clipped; `None` in a frame that does not clip.
     pub(super) clipped: Option<&'a [f32]>,
     /// What exceeds this luminance is light.
@@ -135,14 +137,20 @@ impl<'a> Scene<'a> {
     /// a coloured ceiling has and a sun has not.
     fn hidden(&self, rest: &Candidate) -> (f64, f64) {
         let Some(degree) = self.clipped else { return (0.0, 0.0) };
-        let width = self.panorama.size.width as usize;
+        let (width, least) = (self.panorama.size.width as usize, self.threshold.max(1.0));
         let (mut all, mut of_channels) = (0.0, 0.0);
-        let texels = self.excess(None).runs(rest).iter().flat_map(|run| run.texels(width));
-        for texel in texels.filter(|texel| degree[*texel] <= INSIDE) {
-            let above = (self.panorama.radiance(texel).dot(LUMA) - self.threshold.max(1.0)).max(0.0);
-            let added = f64::from(above * self.panorama.geometry.solid_angle_sr[texel / width]);
-            all += added;
-            of_channels += added * f64::from(1.0 - degree[texel] / INSIDE).powi(2);
+        for run in self.excess(None).runs(rest) {
+            let texels = run.texels(width);
+            let (mut of_run, mut of_run_channels) = (0.0f32, 0.0f32);
+            for (luminance, degree) in self.luminance[texels.clone()].iter().zip(&degree[texels]) {
+                let above = if *degree <= INSIDE { (luminance - least).max(0.0) } else { 0.0 };
+                let open = 1.0 - degree / INSIDE;
+                of_run += above;
+                of_run_channels += above * (open * open);
+            }
+            let texel_sr = f64::from(self.panorama.geometry.solid_angle_sr[run.row as usize]);
+            all += f64::from(of_run) * texel_sr;
+            of_channels += f64::from(of_run_channels) * texel_sr;
         }
         (all.min(rest.strength), of_channels.min(rest.strength))
     }

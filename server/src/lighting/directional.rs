@@ -154,6 +154,7 @@ impl Directional {
             let scene = Scene {
                 panorama: &self.panorama,
                 regions: &self.regions,
+                luminance: self.luminance.texels(),
                 clipped: recovered.map(|_| degree),
                 threshold,
                 mean: statistics.mean,

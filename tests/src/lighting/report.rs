@@ -329,7 +329,7 @@ pub(super) mod tests {
         assert_eq!(
             csv.lines().nth(1),
             Some(
-                "directional,a,tune,ldr95,0.25000,0.12500,3.000,found,25.000,-0.2500,2,100,0.000250,2.0000,0.500,0.25000,0.12500,0.25000,0.12500,0.25000,0.12500"
+                "directional,a,tune,ldr95,0.25000,0.12500,3.000,found,25.000,-0.2500,2,100,0.000250,2.0000,0.500,0.25000,0.12500,0.25000,0.12500,0.25000,0.12500,0.25000,0.12500"
             )
         );
         assert!(csv.lines().nth(3).unwrap().contains(",no light,,") && csv.lines().nth(4).unwrap().contains(",absent,,"));

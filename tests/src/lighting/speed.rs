@@ -254,7 +254,7 @@ mod tests {
         assert!(csv(&all).contains("directional,a,2.0000,1.0000,9.0000,20.000,5.000\n"), "{}", csv(&all));
         assert!(chart(&all).unwrap().contains("plain mr360: 40, 40, 40"));
         let bounds = bounds(&all);
-        assert!(bounds[0].is_met() && bounds[0].all == Some(15.0) && !bounds[1].is_met() && bounds[1].all == Some(3.5), "{bounds:?}");
+        assert!(bounds[0].is_met() && bounds[0].all == Some(10.0) && !bounds[1].is_met() && bounds[1].all == Some(2.0), "{bounds:?}");
         assert!(markdown(&all[..2], false, 3).contains("OpenCV was not raced"));
     }
 
