@@ -42,7 +42,7 @@ fn the_seam_is_a_place_like_any_other_large_and_small() {
     // A fifth of a cycle a texel around, the same after each quarter turn.
     for (width, fov) in [(320, 0.5), (1280, 1.2)] {
         let cycles = (width / 20 * 4) as f32;
-        let picture = coded(width, width / 2, |uv| 0.5 + 0.2 * (TAU * cycles * uv.x).cos() + 0.1 * (TAU * uv.y * cycles * 0.5).sin());
+        let picture = coded(width, width / 2, |uv| 0.5 + 0.2 * (TAU * cycles * uv.x + 1.0).cos() + 0.1 * (TAU * uv.y * cycles * 0.5).sin());
         let quarters = [0.0f32, 1.0, 2.0, 3.0].map(|turn| show(&gpu, &picture, &Camera::looking(turn * PI / 2.0, 0.3, fov)));
         for other in &quarters[1..] {
             let off = quarters[0].iter().zip(other).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
@@ -102,8 +102,8 @@ fn what_is_finer_than_pixels_is_averaged_in_light() {
     let gpu = Gpu::headless().unwrap();
     // Black and white by turns, one texel each; a pixel spans 4.6 of them.
     let (width, fov) = (1024, 0.9);
-    let picture =
-        coded(width, width / 2, |uv| ((uv.x * width as f32) as u32 + (uv.y * width as f32 / 2.0) as u32).is_multiple_of(2) as u32 as f32);
+    let white = |uv: Vec2| ((uv.x * width as f32) as u32 + (uv.y * width as f32 / 2.0) as u32).is_multiple_of(2);
+    let picture = coded(width, width / 2, |uv| f32::from(u8::from(white(uv))));
     for yaw in [0.0, PI] {
         let drawn = show(&gpu, &picture, &Camera::looking(yaw, 0.0, fov * 2.0));
         let mean = drawn.iter().sum::<f32>() / drawn.len() as f32;

@@ -210,7 +210,7 @@ mod tests {
     fn lights_that_are_nearly_alike_do_not_take_turns_at_casting() {
         // By turns one is 10 % stronger than the other, of two where one may cast, and of five where four may.
         let waver = |count: usize| {
-            let frame = |i: usize| (0..count).map(|at| if (at + i) % 2 == 0 { 1.0 } else { 1.1 }).collect();
+            let frame = |i: usize| (0..count).map(|at| if (at + i).is_multiple_of(2) { 1.0 } else { 1.1 }).collect();
             (0..20).map(frame).collect::<Vec<Vec<f32>>>()
         };
         for (lights, most) in [(2, 1), (5, MAX_SHADOWS)] {
@@ -219,7 +219,7 @@ mod tests {
         }
         // One about the share that casts at all.
         let about = SHADOW_SHARE / (1.0 - SHADOW_SHARE) * (1.0 + 0.282_094_8 * std::f32::consts::PI);
-        let frames: Vec<Vec<f32>> = (0..20).map(|i| vec![1.0, about * if i % 2 == 0 { 1.05 } else { 0.95 }]).collect();
+        let frames: Vec<Vec<f32>> = (0..20u32).map(|i| vec![1.0, about * if i.is_multiple_of(2) { 1.05 } else { 0.95 }]).collect();
         let sets = casting_over(&frames, MAX_SHADOWS);
         assert!(sets.iter().all(|ids| *ids == [0, 1]), "{sets:?}");
     }
