@@ -336,8 +336,8 @@ fn parallax_is_geometrys(kept: &Kept) -> Result<()> {
         let met = |x: u32, y: u32| meets_ball(camera, ray(camera, x as f32 + 0.5, y as f32 + 0.5), RADIUS);
         expected[at] = middle(met).context("the ball is not in view")?;
     }
-    for at in 0..2 {
-        ensure!(seen[at].distance(expected[at]) < 1.0, "eye {at}: the ball is at {} instead of {}", seen[at], expected[at]);
+    for (eye, (seen, expected)) in seen.iter().zip(&expected).enumerate() {
+        ensure!(seen.distance(*expected) < 1.0, "eye {eye}: the ball is at {seen} instead of {expected}");
     }
     let (shift, geometry) = (seen[0] - seen[1], expected[0] - expected[1]);
     ensure!(shift.distance(geometry) < 0.5, "the eyes differ by {shift} instead of {geometry} pixels");
