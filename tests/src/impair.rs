@@ -39,7 +39,7 @@ impl Impaired {
         let way = |from: &Arc<UdpSocket>, to: &Arc<UdpSocket>, towards_server: bool| {
             let (from, to, viewer) = (Arc::clone(from), Arc::clone(to), Arc::clone(&viewer));
             let (over, lost) = (Arc::clone(&over), Arc::clone(&lost));
-            let mut dice = Dice(seed ^ u64::from(towards_server) << 63 | 1);
+            let mut dice = Dice((seed ^ (u64::from(towards_server) << 63)) | 1);
             thread::spawn(move || {
                 let mut datagram = vec![0; MAX_DATAGRAM];
                 while !over.load(Ordering::Relaxed) {

@@ -96,7 +96,7 @@ fn scripts() -> Vec<Script> {
         (Vec3::new(0.0, 1.1, -0.2), turned(0.1, 0.2, -0.4)),
         (Vec3::new(0.1, 1.6, 0.1), turned(-0.1, -0.2, 0.1)),
     ];
-    // Behind the head and pointing up, where there is nothing to take; sticks and grips too weak to move or scale the viewer, and the menu last.
+    // Behind the head and pointing up, where there is nothing to take; sticks and grips too weak to move or scale the viewer.
     // Off where the headless viewer, which has no hands to be lit and to throw shadows, is to see the same.
     let hand = |aside: f32, at: usize| ScriptedHand {
         pose: Some(Scripted {
@@ -107,7 +107,8 @@ fn scripts() -> Vec<Script> {
         trigger: if at == 2 { 1.0 } else { 0.0 },
         squeeze: 0.1 * at as f32,
         stick: Vec2::new(0.5, -0.05 * at as f32),
-        b: at == 4,
+        // Held, it recentres.
+        b: false,
     };
     let script = |(at, (position, orientation)): (usize, (Vec3, Quat))| Script {
         head: Scripted { position, orientation },
@@ -336,8 +337,8 @@ fn parallax_is_geometrys(kept: &Kept) -> Result<()> {
         let met = |x: u32, y: u32| meets_ball(camera, ray(camera, x as f32 + 0.5, y as f32 + 0.5), RADIUS);
         expected[at] = middle(met).context("the ball is not in view")?;
     }
-    for at in 0..2 {
-        ensure!(seen[at].distance(expected[at]) < 1.0, "eye {at}: the ball is at {} instead of {}", seen[at], expected[at]);
+    for (eye, (seen, expected)) in seen.iter().zip(&expected).enumerate() {
+        ensure!(seen.distance(*expected) < 1.0, "eye {eye}: the ball is at {seen} instead of {expected}");
     }
     let (shift, geometry) = (seen[0] - seen[1], expected[0] - expected[1]);
     ensure!(shift.distance(geometry) < 0.5, "the eyes differ by {shift} instead of {geometry} pixels");

@@ -105,6 +105,8 @@ pub fn run<S: Stage>(frames: &mut FrameLoop, options: &XrOptions, mut surroundin
         let detail = match fault {
             Fault::Later(detail) => detail,
             Fault::Lost(detail) | Fault::Frame(FrameError::DeviceLost { detail }) => {
+                // This has happened, even if it happened before.
+                told = None;
                 lost += 1;
                 if lost >= MAX_LOST {
                     return Err(XrError::NoHeadset { detail: format!("{detail}, {MAX_LOST} times in a row") });
