@@ -1,5 +1,7 @@
 //! Values that more than one command takes.
 
+use crate::governor::Tier;
+
 /// Longest side of a picture, pixels: H.264's, too, and a readback of 8 bits fits the smallest buffers that GPUs promise.
 pub(crate) const MAX_SIDE: u32 = 8192;
 
@@ -21,6 +23,12 @@ pub(crate) fn parse_angle(text: &str) -> Result<f32, String> {
     text.parse().ok().filter(|angle: &f32| angle.is_finite()).ok_or_else(|| "an angle is a finite number of degrees".to_owned())
 }
 
+/// A tier by its number.
+pub(crate) fn parse_tier(text: &str) -> Result<Tier, String> {
+    let tier = text.parse().ok().and_then(Tier::new);
+    tier.ok_or_else(|| format!("a tier is a number from 0 to {}", Tier::LOWEST.number()))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -33,6 +41,10 @@ mod tests {
             assert!(parse_size(wrong).unwrap_err().contains("8192"), "{wrong}");
         }
         assert_eq!((parse_fov("170"), parse_angle("-40.5")), (Ok(170.0), Ok(-40.5)));
+        assert_eq!((parse_tier("0"), parse_tier("4")), (Ok(Tier::FULL), Ok(Tier::LOWEST)));
+        for wrong in ["5", "-1", "auto", "0.5"] {
+            assert!(parse_tier(wrong).unwrap_err().contains("0 to 4"), "{wrong}");
+        }
         for wrong in ["0.9", "171", "NaN", "wide"] {
             assert!(parse_fov(wrong).is_err(), "{wrong}");
         }

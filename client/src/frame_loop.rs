@@ -6,15 +6,16 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, TryRecvError};
 use std::time::Duration;
 
-use glam::{Vec2, Vec3};
 use mr360_protocol::clock::{ClientTime, ClockOffset, ServerTime};
+use mr360_protocol::intent::Action;
 use mr360_protocol::light::LightFrame;
-use mr360_protocol::scene::ObjectId;
 
 use crate::audio::AudioTimeline;
 use crate::camera::Camera;
 use crate::decode::{DecodeCounters, PictureReceiver};
 use crate::governor::Tier;
+use crate::hands::{LocalObject, World};
+use crate::script::Player;
 use crate::stats::{FrameTimes, LightTimes, PassTime, Stats};
 use crate::sync::{ClientClock, LightBlend, Paired, Playout, ReceivedLight};
 use crate::view::Plan;
@@ -53,10 +54,42 @@ pub struct Target {
     pub view: wgpu::TextureView,
     /// Its format.
     pub format: wgpu::TextureFormat,
+    /// A depth attachment of [`DEPTH_FORMAT`](crate::view::DEPTH_FORMAT) and the same size, where whoever presents asks for depth: 1 at [`Camera::NEAR_M`], 0 at infinity.
+    pub depth: Option<wgpu::TextureView>,
     /// Columns.
     pub width: u32,
     /// Rows.
     pub height: u32,
+}
+
+/// One view of a frame. All of a frame have targets of one format.
+pub struct Shot {
+    /// From where.
+    pub camera: Camera,
+    /// Where to.
+    pub target: Target,
+}
+
+/// What presenting a frame came to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Presented {
+    /// How often this thread stood still for the GPU, or for pictures that are still shown, within the frame. What a headset's runtime does in
+    /// its own calls is not seen from here.
+    pub gpu_waits: u64,
+    /// Of a headset.
+    pub headset: Option<HeadsetTimes>,
+}
+
+/// What only a headset's frames have.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct HeadsetTimes {
+    /// From reading the pose that the frame was drawn for to when the runtime predicts its light to leave the display, microseconds, 0 when
+    /// that was over; `None` where the runtime's clock cannot be read.
+    pub pose_to_photon_us: Option<u64>,
+    /// From the runtime's call for the frame to handing it over, microseconds: whatever is waited for within a frame is in it.
+    pub frame_us: u64,
+    /// Display intervals since the start that no new frame came for.
+    pub missed: u64,
 }
 
 /// What drawing a view came to.
@@ -71,7 +104,7 @@ pub struct Drawn {
 }
 
 /// The renderer, as the frame loop sees it.
-pub trait Stage {
+pub trait Stage: World {
     /// Takes in what came for the scene since the last turn; true when the view looks different for it.
     ///
     /// # Errors
@@ -88,26 +121,35 @@ pub trait Stage {
     /// looks different for it.
     fn relight(&mut self, light: &LightFrame) -> bool;
 
-    /// Draws the view and submits it.
+    /// Draws a frame of one or more views and submits it.
     ///
     /// # Errors
     /// As [`Stage::prepare`].
-    fn draw(&mut self, camera: &Camera, target: &Target) -> Result<Drawn, FrameError>;
+    fn draw(&mut self, shots: &[Shot]) -> Result<Drawn, FrameError>;
+
+    /// The display shows a frame every so many microseconds.
+    fn set_interval(&mut self, _interval_us: u32) {}
 
     /// Shows what a frame costs over the view, or no longer.
     fn toggle_overlay(&mut self) {}
 
+    /// Told of every frame once it was presented.
+    fn presented(&mut self, _times: &FrameTimes) {}
+
+    /// Shows what mouse and keys do over the view, or no longer.
+    fn toggle_controls(&mut self) {}
+
     /// Why the device was lost, once it is.
     fn device_lost(&self) -> Option<String>;
 
-    /// The nearest object under a point of the image, x and y in [−1, 1], y up.
-    fn pick(&self, camera: &Camera, ndc: Vec2, aspect: f32) -> Option<ObjectId>;
+    /// True once the scene has come that wishes are about.
+    fn has_scene(&self) -> bool;
 
-    /// The point of the ground there.
-    fn ground_point(&self, camera: &Camera, ndc: Vec2, aspect: f32) -> Option<Vec3>;
+    /// Shows at once what this user does, without the server's word.
+    fn predict(&mut self, action: &Action, now: ClientTime);
 
-    /// Where an object stands.
-    fn position(&self, object: ObjectId) -> Option<Vec3>;
+    /// Shows these beside the scene from the next frame on, to this viewer alone.
+    fn show_local(&mut self, objects: &[LocalObject]);
 }
 
 /// When a picture is, in the time of its broadcast.
@@ -119,19 +161,20 @@ pub struct PictureTime {
     pub pts_us: u64,
 }
 
-/// Shows frames: in a window, or to nobody.
+/// Shows frames: in a headset, in a window, or to nobody.
 pub trait Presenter {
-    /// The next target, or `None` when there is none just now (hidden window, resize under way): the frame is skipped.
+    /// The next frame's views, or `None` when there is nowhere to draw just now (hidden window, resize under way): the frame is skipped.
+    /// They are from `camera`, unless whoever presents knows better where the viewer is; then this is the last moment to ask.
     ///
     /// # Errors
     /// [`FrameError::DeviceLost`] when everything has to be opened anew.
-    fn acquire(&mut self) -> Result<Option<Target>, FrameError>;
+    fn acquire(&mut self, camera: &Camera) -> Result<Option<Vec<Shot>>, FrameError>;
 
-    /// Presents what was drawn to the target acquired last, of the picture `shown`. `now` is when the drawing was submitted.
+    /// Presents what was drawn to the targets acquired last, of the picture `shown`. `now` is when the drawing was submitted.
     ///
     /// # Errors
     /// As [`Presenter::acquire`].
-    fn present(&mut self, shown: PictureTime, now: ClientTime) -> Result<(), FrameError>;
+    fn present(&mut self, shown: PictureTime, now: ClientTime) -> Result<Presented, FrameError>;
 }
 
 /// From the network, apart from pictures.
@@ -204,6 +247,8 @@ pub struct FrameLoop {
     drawing_us: u64,
     frames: u64,
     ended: bool,
+    /// Does what a user did once.
+    player: Option<Player>,
 }
 
 impl FrameLoop {
@@ -223,7 +268,13 @@ impl FrameLoop {
             drawing_us: 0,
             frames: 0,
             ended: false,
+            player: None,
         }
+    }
+
+    /// Plays a script from when there are a picture and a scene.
+    pub fn play(&mut self, player: Player) {
+        self.player = Some(player);
     }
 
     /// One turn of the loop.
@@ -242,6 +293,9 @@ impl FrameLoop {
             return Err(FrameError::DeviceLost { detail });
         }
         self.take_in();
+        if let Some(player) = self.player.as_mut().filter(|_| self.on_stage.is_some() && stage.has_scene()) {
+            player.play(stage, self.clock.now());
+        }
         self.stale |= stage.prepare()?;
         let new_picture = self.update(stage)?;
         // A new picture comes on under its own light, whatever its upload took.
@@ -257,7 +311,18 @@ impl FrameLoop {
         if new_picture && wanted && !presented {
             self.stats.skipped();
         }
-        Ok(Turn { presented, ended: self.ended && self.playout.next_deadline(self.clock.now()).is_none() })
+        Ok(Turn { presented, ended: self.has_ended() })
+    }
+
+    /// A turn in which nothing can be shown: takes in what arrived and lets due pictures pass unseen, so that what comes after it is shown in
+    /// time.
+    pub fn pass(&mut self) -> Turn {
+        self.take_in();
+        if self.playout.poll(self.clock.now()).is_some() {
+            self.stats.unseen();
+        }
+        self.follow_with_sound();
+        Turn { presented: false, ended: self.has_ended() }
     }
 
     /// Forgets what was on the GPU; the playout goes on.
@@ -344,6 +409,16 @@ impl FrameLoop {
         }
     }
 
+    fn has_ended(&self) -> bool {
+        self.ended && self.playout.next_deadline(self.clock.now()).is_none()
+    }
+
+    fn follow_with_sound(&self) {
+        if let Some(audio) = &self.inputs.audio {
+            audio.set(self.playout.presentation_offset_us());
+        }
+    }
+
     fn light_times(&self, light: &ReceivedLight) -> Option<LightTimes> {
         let published = self.server_clock.client_from_server(ServerTime(light.light.published_us), light.arrived)?;
         Some(LightTimes { pts_us: light.light.pts_us, published, arrived: light.arrived })
@@ -352,9 +427,7 @@ impl FrameLoop {
     fn update(&mut self, stage: &mut impl Stage) -> Result<bool, FrameError> {
         let now = self.clock.now();
         let paired = self.playout.poll(now);
-        if let Some(audio) = &self.inputs.audio {
-            audio.set(self.playout.presentation_offset_us());
-        }
+        self.follow_with_sound();
         let Some(paired) = paired else { return Ok(false) };
         let mut on_stage = OnStage {
             time: PictureTime { epoch: self.playout.epoch(), pts_us: paired.picture.pts_us },
@@ -390,11 +463,11 @@ impl FrameLoop {
 
     fn show(&mut self, stage: &mut impl Stage, presenter: &mut impl Presenter, camera: &Camera) -> Result<bool, FrameError> {
         let Some(on_stage) = self.on_stage.as_mut() else { return Ok(false) };
-        let Some(target) = presenter.acquire()? else { return Ok(false) };
+        let Some(shots) = presenter.acquire(camera)? else { return Ok(false) };
         let begun = self.clock.now();
-        let drawn = stage.draw(camera, &target)?;
+        let drawn = stage.draw(&shots)?;
         let rendered = self.clock.now();
-        presenter.present(on_stage.time, rendered)?;
+        let shown = presenter.present(on_stage.time, rendered)?;
         // What a lost device drew is nothing to count.
         if let Some(detail) = stage.device_lost() {
             return Err(FrameError::DeviceLost { detail });
@@ -415,6 +488,7 @@ impl FrameLoop {
             rendered,
             presented,
             playout_delay_us: self.playout.delay_us(),
+            shown,
         };
         on_stage.presented_once = true;
         self.stale = false;
@@ -425,6 +499,7 @@ impl FrameLoop {
         self.frames += 1;
         self.stats.counted(self.playout.drops(), Some(&self.inputs.decoder));
         self.stats.presented(&times, &drawn);
+        stage.presented(&times);
         Ok(true)
     }
 }

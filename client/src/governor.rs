@@ -48,6 +48,8 @@ pub struct Limits {
     pub occlusion: bool,
     /// Samples a pixel of objects and ground.
     pub samples: u32,
+    /// Glossy ground and place mirror objects.
+    pub mirrors: bool,
 }
 
 impl Tier {
@@ -81,7 +83,8 @@ impl Tier {
             3 => (1, 4, false, 4),
             _ => (1, 4, false, 1),
         };
-        Limits { shadows, reflections_every, occlusion, samples }
+        // What stands on them is shaded from them in the same tiers.
+        Limits { shadows, reflections_every, occlusion, samples, mirrors: occlusion }
     }
 }
 
@@ -160,6 +163,13 @@ impl Governor {
     pub fn automatic(interval_us: u32) -> Self {
         // The first frames make pipelines and textures.
         Self { budget_us: Some(interval_us.max(1) as f32), settling: 4 * SETTLE, ..Self::fixed(Tier::FULL) }
+    }
+
+    /// The display turns out to show a frame every so many microseconds. Says nothing to one that keeps its tier.
+    pub fn set_interval(&mut self, interval_us: u32) {
+        if let Some(budget_us) = &mut self.budget_us {
+            *budget_us = interval_us.max(1) as f32;
+        }
     }
 
     /// The tier of the next frame.
@@ -264,6 +274,18 @@ mod tests {
         let changes = run(&mut governor, 0..2_000, |_, _| 20_000, &full);
         // 32 frames of starting up, then ten over the budget; eight of settling before each further ten.
         assert_eq!(changes, [(41, 1), (59, 2), (77, 3), (95, 4)]);
+    }
+
+    #[test]
+    fn a_slower_display_gives_more_time() {
+        let mut governor = Governor::automatic(BUDGET_US);
+        governor.set_interval(50_000);
+        assert_eq!(run(&mut governor, 0..2_000, |_, _| 20_000, &full), []);
+        governor.set_interval(BUDGET_US);
+        assert!(!run(&mut governor, 2_000..2_100, |_, _| 20_000, &full).is_empty());
+        let mut fixed = Governor::fixed(Tier::FULL);
+        fixed.set_interval(1);
+        assert_eq!(fixed.budget_us(), None);
     }
 
     #[test]

@@ -10,6 +10,7 @@ pub mod environment;
 pub mod frame_loop;
 pub mod governor;
 pub mod gpu;
+pub mod hands;
 pub mod headless;
 pub mod join;
 pub mod overlay;
@@ -18,10 +19,13 @@ pub mod receive;
 pub mod record;
 pub mod render;
 pub mod scene;
+pub mod script;
 pub mod stats;
 pub mod sync;
 pub mod view;
+pub mod viewpoint;
 pub mod window;
+pub mod xr;
 
 /// Why a command of the client ended before it was done.
 pub type Failure = mr360_protocol::failure::Failure<anyhow::Error>;

@@ -22,16 +22,22 @@ use mr360_shaders::source::Reflections;
 use serde::Deserialize;
 
 use crate::Failure;
-use crate::arguments::{parse_angle, parse_fov, parse_size};
+use crate::arguments::{parse_angle, parse_fov, parse_size, parse_tier};
 use crate::camera::Camera;
 use crate::environment::Environment;
+use crate::governor::Tier;
 use crate::gpu::{Gpu, GpuError, block_on};
 use crate::picture::{Picture, Samples};
 use crate::record::PictureFile;
 use crate::scene::model::Model;
-use crate::view::{Renderer, View};
+use crate::view::{MAX_VIEWS, Parallax, Renderer, View};
 
-mod passes;
+mod eyes;
+mod timing;
+
+pub use timing::{FrameTimes, Timed};
+
+pub use eyes::Eyes;
 
 /// Longest side of a panorama, pixels.
 const MAX_SIDE: u32 = 16_384;
@@ -67,9 +73,21 @@ pub struct RenderArgs {
     /// The same in linear light, as OpenEXR.
     #[arg(long)]
     pub out_linear: Option<PathBuf>,
-    /// GPU time of every pass, as CSV: the median over frames that each bring a new picture and lights that moved, as video does.
+    /// GPU time of every pass, as CSV: a frame's share of it, over frames that each bring a new picture and lights that moved, as video does.
     #[arg(long)]
     pub passes: Option<PathBuf>,
+    /// Time of whole frames, as CSV: of a still picture, and with a new picture each. The GPU is waited for after every frame.
+    #[arg(long)]
+    pub frame_times: Option<PathBuf>,
+    /// Frames of each kind for --frame-times.
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub frames: u32,
+    /// Views drawn in every frame of --passes and --frame-times, side by side as eyes are.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=MAX_VIEWS as i64))]
+    pub views: u32,
+    /// What to leave out: 0 nothing, 4 all that can be.
+    #[arg(long, value_name = "N", default_value = "0", value_parser = parse_tier)]
+    pub tier: Tier,
     /// Light of the panorama: the JSON that `mr360-server analyze --json` prints. Without it, spherical
     /// harmonics of the panorama alone, and no light casts a shadow.
     #[arg(long)]
@@ -86,6 +104,16 @@ pub struct RenderArgs {
     /// How glossy surfaces look into the panorama: prefiltered maps, 36 samples a pixel (iorns) or 16 (taps).
     #[arg(long, value_parser = parse_reflections, default_value = "prefiltered")]
     pub reflections: Reflections,
+    /// Distance of the background of a mono panorama, for eyes beside the camera that filmed: infinity, ground (ground and place where they
+    /// are, all else on a dome of 50 m), or ground:RADIUS.
+    #[arg(long, default_value = "ground", value_name = "SETTING")]
+    pub parallax: Parallax,
+    /// One picture, or both eyes' side by side, each of --size.
+    #[arg(long, value_enum, default_value_t = Eyes::One, conflicts_with = "right_eye")]
+    pub eyes: Eyes,
+    /// Distance between the eyes, millimetres.
+    #[arg(long, default_value_t = 64.0, value_parser = eyes::parse_ipd, allow_negative_numbers = true)]
+    pub ipd_mm: f32,
 }
 
 fn parse_reflections(text: &str) -> Result<Reflections, String> {
@@ -118,28 +146,55 @@ pub fn run(args: &RenderArgs) -> Result<(), Failure> {
     let coded = create(&args.out, &[ImageFormat::Png, ImageFormat::Jpeg]).map_err(Failure::Input)?;
     let linear = args.out_linear.as_deref().map(|path| create(path, &[ImageFormat::OpenExr, ImageFormat::Hdr]));
     let linear = linear.transpose().map_err(Failure::Input)?;
-    let passes = args.passes.as_deref().map(|path| File::create(path).with_context(|| format!("{}: cannot be created", path.display())));
-    let passes = passes.transpose().map_err(Failure::Input)?;
+    let table = |path: &PathBuf| File::create(path).with_context(|| format!("{}: cannot be created", path.display()));
+    let passes = args.passes.as_ref().map(table).transpose().map_err(Failure::Input)?;
+    let frame_times = args.frame_times.as_ref().map(table).transpose().map_err(Failure::Input)?;
     let mut camera = Camera::looking(args.yaw_deg.to_radians(), args.pitch_deg.to_radians(), args.fov_y_deg.to_radians());
     camera.right_eye = args.right_eye;
     let gpu = Gpu::headless().map_err(running)?;
     let Inputs { picture, light, scene, assets } = &inputs;
     let still = Still { gpu: &gpu, picture, light, scene, assets };
+    let how = How { reflections: args.reflections, tier: args.tier, parallax: args.parallax };
     // All is drawn before anything is written: a GPU that fails leaves no half of what was asked for.
-    let coded = (coded, still.draw_by(args.reflections, &camera, args.size, wgpu::TextureFormat::Rgba8UnormSrgb)?);
+    let draw = |format| args.eyes.draw(&still, how, (&camera, args.ipd_mm * 1e-3), args.size, format);
+    let coded = (coded, draw(wgpu::TextureFormat::Rgba8UnormSrgb)?);
     let linear = match linear {
-        Some(file) => Some((file, still.draw_by(args.reflections, &camera, args.size, wgpu::TextureFormat::Rgba32Float)?)),
+        Some(file) => Some((file, draw(wgpu::TextureFormat::Rgba32Float)?)),
         None => None,
     };
-    if let Some(mut file) = passes {
-        let rows: String = still
-            .time_passes(args.reflections, &camera, args.size)?
-            .iter()
-            .map(|pass| format!("{},{}\n", pass.name, pass.gpu_ms))
-            .collect();
-        file.write_all(format!("pass,gpu_ms\n{rows}").as_bytes()).context("--passes: cannot be written").map_err(Failure::Running)?;
+    let timed = Timed { camera, size: args.size, views: args.views as usize };
+    if let Some(file) = passes {
+        let times = still.time_passes(how, timed)?;
+        write_rows(file, "pass,gpu_ms", times.iter().map(|pass| format!("{},{}", pass.name, pass.gpu_ms))).map_err(Failure::Running)?;
     }
-    save(args.size, coded, linear).map_err(Failure::Running)
+    if let Some(file) = frame_times {
+        let FrameTimes { still_ms, new_picture_ms } = still.time_frames(how, timed, args.frames as usize)?;
+        let rows = still_ms.iter().zip(&new_picture_ms).map(|(still, new)| format!("{still:.3},{new:.3}"));
+        write_rows(file, "still_ms,new_picture_ms", rows).map_err(Failure::Running)?;
+    }
+    save(args.eyes.picture_size(args.size), coded, linear).map_err(Failure::Running)
+}
+
+fn write_rows(mut file: File, head: &str, rows: impl Iterator<Item = String>) -> anyhow::Result<()> {
+    let text: String = std::iter::once(head.to_owned()).chain(rows).map(|row| row + "\n").collect();
+    file.write_all(text.as_bytes()).with_context(|| format!("the table of {head} cannot be written"))
+}
+
+/// How a picture is drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct How {
+    /// How glossy surfaces look into the panorama.
+    pub reflections: Reflections,
+    /// What is left out.
+    pub tier: Tier,
+    /// How far away the background is.
+    pub parallax: Parallax,
+}
+
+impl From<Reflections> for How {
+    fn from(reflections: Reflections) -> Self {
+        Self { reflections, ..Self::default() }
+    }
 }
 
 /// What is drawn.
@@ -215,20 +270,14 @@ impl Still<'_> {
     /// [`Failure::Input`] for a model that cannot be drawn, and for a panorama or a picture too large for the GPU; [`Failure::Running`] for a
     /// GPU that refuses or is lost.
     pub fn draw(&self, camera: &Camera, size: (u32, u32), format: wgpu::TextureFormat) -> Result<Vec<u8>, Failure> {
-        self.draw_by(Reflections::default(), camera, size, format)
+        self.draw_by(How::default(), camera, size, format)
     }
 
-    /// As [`Still::draw`], with reflections looked up this way.
+    /// As [`Still::draw`], in this way.
     ///
     /// # Errors
     /// As [`Still::draw`].
-    pub fn draw_by(
-        &self,
-        reflections: Reflections,
-        camera: &Camera,
-        size: (u32, u32),
-        format: wgpu::TextureFormat,
-    ) -> Result<Vec<u8>, Failure> {
+    pub fn draw_by(&self, how: impl Into<How>, camera: &Camera, size: (u32, u32), format: wgpu::TextureFormat) -> Result<Vec<u8>, Failure> {
         let gpu = self.gpu;
         let largest = gpu.device.limits().max_texture_dimension_2d;
         if size.0.max(size.1) > largest {
@@ -237,7 +286,7 @@ impl Still<'_> {
         }
         let memory = gpu.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let validation = gpu.device.push_error_scope(wgpu::ErrorFilter::Validation);
-        let drawn = self.draw_checked(reflections, camera, size, format);
+        let drawn = self.draw_checked(how.into(), camera, size, format);
         let fault = [block_on(validation.pop()), block_on(memory.pop())].into_iter().flatten().next();
         match fault {
             // The fault came first: what it left undone may have failed in turn.
@@ -247,13 +296,15 @@ impl Still<'_> {
     }
 
     /// The panorama on the GPU, and a renderer that has light and scene.
-    fn set_up(&self, reflections: Reflections, format: wgpu::TextureFormat) -> Result<(Environment, Renderer), Failure> {
+    fn set_up(&self, how: How, format: wgpu::TextureFormat) -> Result<(Environment, Renderer), Failure> {
         let gpu = self.gpu;
         let mut environment = Environment::new(gpu).map_err(running)?;
         environment.upload(gpu, self.picture).map_err(|error| Failure::Input(error.into()))?;
         let mut renderer = Renderer::new(gpu, format).map_err(running)?;
         renderer.set_light(self.light);
-        renderer.set_reflections(reflections);
+        renderer.set_reflections(how.reflections);
+        renderer.set_tier(how.tier);
+        renderer.set_parallax(how.parallax);
         renderer.set_time(self.picture.pts_us);
         if let Some(warning) = renderer.set_scene(gpu, self.scene, &|id| self.assets.get(&id).cloned().map(Ok)).into_iter().next() {
             return Err(Failure::Input(warning.into()));
@@ -261,15 +312,9 @@ impl Still<'_> {
         Ok((environment, renderer))
     }
 
-    fn draw_checked(
-        &self,
-        reflections: Reflections,
-        camera: &Camera,
-        size: (u32, u32),
-        format: wgpu::TextureFormat,
-    ) -> Result<Vec<u8>, Failure> {
+    fn draw_checked(&self, how: How, camera: &Camera, size: (u32, u32), format: wgpu::TextureFormat) -> Result<Vec<u8>, Failure> {
         let gpu = self.gpu;
-        let (mut environment, mut renderer) = self.set_up(reflections, format)?;
+        let (mut environment, mut renderer) = self.set_up(how, format)?;
         let target = target(gpu, size, format);
         let view = target.create_view(&wgpu::TextureViewDescriptor::default());
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());

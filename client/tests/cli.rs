@@ -72,3 +72,22 @@ fn what_cannot_be_created_is_named_before_anything_is_done() {
         assert!(!folder.path().join("a.png").exists() && !folder.path().join("a.png.part").exists(), "{flags:?}");
     }
 }
+
+#[test]
+fn flags_of_another_mode_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    for (flags, word) in [
+        (&["--mode", "xr", "--snapshot", "a.png"][..], "--mode headless"),
+        (&["--mode", "xr", "--record", "a.mp4"], "--mode headless"),
+        (&["--mode", "window", "--view", "view.json"], "--mode headless"),
+        (&["--mode", "headless", "--view", "no/view.json"], "no/view.json"),
+        (&["--mode", "headless", "--record-eyes", "eyes"], "--mode xr"),
+        (&["--mode", "xr", "--record-eyes", "/proc/no-such-folder"], "/proc/no-such-folder"),
+    ] {
+        let mut program = Command::new(env!("CARGO_BIN_EXE_mr360-client"));
+        program.current_dir(folder.path()).env("XDG_CACHE_HOME", folder.path()).args(["join", "https://127.0.0.1:1/"]).args(flags);
+        let output = program.output().unwrap();
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.code() == Some(2) && error.contains(word), "{flags:?}: {}: {error}", output.status);
+    }
+}

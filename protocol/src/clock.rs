@@ -40,6 +40,14 @@ impl ClockOffset {
         Some(ClientTime(u64::try_from(client).unwrap_or(0)))
     }
 
+    /// What the server's clock reads at `now`, or `None` before the first observation. Behind by the least network delay: what was so then
+    /// can be here by now.
+    #[must_use]
+    pub fn server_from_client(&self, now: ClientTime) -> Option<ServerTime> {
+        let server = i64::try_from(now.0).unwrap_or(i64::MAX).saturating_sub(self.at(now)?);
+        Some(ServerTime(u64::try_from(server).unwrap_or(0)))
+    }
+
     fn at(&self, now: ClientTime) -> Option<i64> {
         let (best, since) = self.best?;
         let elapsed = i64::try_from(now.0.saturating_sub(since.0)).unwrap_or(i64::MAX);
@@ -59,6 +67,7 @@ mod tests {
         offset.observe(ServerTime(2_000), ClientTime(5_500));
         offset.observe(ServerTime(3_000), ClientTime(9_900));
         assert_eq!(offset.client_from_server(ServerTime(3_000), ClientTime(9_900)), Some(ClientTime(6_500)));
+        assert_eq!(offset.server_from_client(ClientTime(9_900)), Some(ServerTime(6_400)));
         // After ten seconds 2,000 µs of drift are allowed for.
         offset.observe(ServerTime(10_002_000), ClientTime(10_007_000));
         assert_eq!(offset.client_from_server(ServerTime(10_002_000), ClientTime(10_007_000)), Some(ClientTime(10_007_000)));

@@ -1,4 +1,7 @@
-//! The shared scene: objects on a ground plane, changed by users' intents through the server alone.
+//! The shared scene: objects on a ground plane, changed by users' intents ([`crate::intent`]) through the server alone.
+
+#[cfg(test)]
+mod tests;
 
 use glam::{Quat, Vec3};
 use serde::{Deserialize, Serialize};
@@ -16,6 +19,8 @@ pub const MAX_USERS: usize = 256;
 pub const MAX_CHANGES: usize = 256;
 /// Most bytes in an animation's name.
 pub const MAX_ANIMATION_BYTES: usize = 64;
+/// Most items of the library.
+pub const MAX_LIBRARY: usize = 64;
 /// Most characters in a user's name.
 pub const MAX_NAME_CHARS: usize = 64;
 /// Objects stay within this distance of the origin on every axis, metres.
@@ -126,7 +131,36 @@ pub struct Object {
     pub animation: Playback,
 }
 
-/// A mesh of the real place, as the video shows it: it catches shadows and hides what is behind it, and is itself never seen.
+/// How a real surface mirrors virtual objects. The light in it needs none of this: the video shows that already.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Gloss {
+    /// Perceptual roughness in [0, 1]; alpha is its square.
+    pub roughness: f32,
+    /// Share of light that is mirrored straight back, in [0, 1]; nothing is mirrored at 0.
+    pub reflectance: f32,
+}
+
+impl Gloss {
+    /// A surface that mirrors nothing.
+    pub const MATT: Self = Self { roughness: 1.0, reflectance: 0.0 };
+    /// Reflectance of what is neither metal nor gem: stone, wood, water, varnish.
+    pub const DIELECTRIC: f32 = 0.04;
+
+    pub(crate) fn validate(self, message: &'static str) -> Result<(), WireError> {
+        let unit = |v: f32| (0.0..=1.0).contains(&v);
+        ensure_in_range(unit(self.roughness), message, "roughness", || self.roughness.to_string())?;
+        ensure_in_range(unit(self.reflectance), message, "reflectance", || self.reflectance.to_string())
+    }
+}
+
+impl Default for Gloss {
+    fn default() -> Self {
+        Self::MATT
+    }
+}
+
+/// A mesh of the real place, as the video shows it: it catches shadows and reflections, hides what is behind it, and is itself never
+/// seen.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct PlaceMesh {
     /// A glTF 2.0 model; its materials do not count.
@@ -135,6 +169,21 @@ pub struct PlaceMesh {
     pub transform: Transform,
     /// It stands between the lights and what lies behind it. Not so for walls that hold the lights themselves, or lie beyond them.
     pub casts_shadows: bool,
+    /// How it mirrors objects.
+    pub gloss: Gloss,
+}
+
+/// What users may put into the scene.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct LibraryItem {
+    /// Shown to users; 1 to [`MAX_NAME_CHARS`] characters.
+    pub name: String,
+    /// Its form.
+    pub geometry: Geometry,
+    /// Factor on each axis when it is put down.
+    pub scale: Vec3,
+    /// Its surface; a model without one keeps the materials of its file.
+    pub material: Option<Material>,
 }
 
 /// The whole shared state.
@@ -144,15 +193,50 @@ pub struct Scene {
     pub revision: u64,
     /// Height of the ground plane, metres, relative to the camera that filmed the panorama at y = 0.
     pub ground_y: f32,
+    /// How the ground mirrors objects.
+    pub ground: Gloss,
     /// In order of id.
     pub objects: Vec<Object>,
     /// Beside the ground, what of the real place catches shadows.
     pub place: Vec<PlaceMesh>,
+    /// What users may add.
+    pub library: Vec<LibraryItem>,
 }
 
 impl Default for Scene {
     fn default() -> Self {
-        Self { revision: 0, ground_y: -1.6, objects: Vec::new(), place: Vec::new() }
+        Self { revision: 0, ground_y: -1.6, ground: Gloss::MATT, objects: Vec::new(), place: Vec::new(), library: LibraryItem::shapes() }
+    }
+}
+
+impl LibraryItem {
+    /// The library of a scene whose author gives none: each shape, of a size to be handled.
+    #[must_use]
+    pub fn shapes() -> Vec<Self> {
+        let item = |name: &str, shape, scale, base_color, roughness| Self {
+            name: name.to_owned(),
+            geometry: Geometry::Shape(shape),
+            scale,
+            material: Some(Material { base_color, roughness, ..Material::default() }),
+        };
+        vec![
+            item("ball", Shape::Sphere, Vec3::splat(0.3), [0.75, 0.12, 0.05], 0.2),
+            item("cube", Shape::Cube, Vec3::splat(0.3), [0.8; 3], 0.6),
+            item("cylinder", Shape::Cylinder, Vec3::new(0.3, 0.5, 0.3), [0.1, 0.3, 0.7], 0.4),
+            item("board", Shape::Plane, Vec3::new(0.8, 1.0, 0.5), [0.55, 0.35, 0.15], 0.8),
+        ]
+    }
+
+    /// Bounds the name, the scale and the material; `message` names what carries it.
+    ///
+    /// # Errors
+    /// [`WireError::OutOfRange`] naming the field.
+    pub fn validate(&self, message: &'static str) -> Result<(), WireError> {
+        ensure_in_range((1..=MAX_NAME_CHARS).contains(&self.name.chars().count()), message, "name", || {
+            format!("a name of {} characters, 1 to {MAX_NAME_CHARS}", self.name.chars().count())
+        })?;
+        Transform { scale: self.scale, ..Transform::default() }.validate(message)?;
+        self.material.map_or(Ok(()), |material| material.validate(message))
     }
 }
 
@@ -176,30 +260,11 @@ pub enum SceneMessage {
     Delta {
         /// Revision after the changes.
         revision: u64,
+        /// When all this was so on the server's clock, microseconds: what moves is shown at its pace, not at the network's.
+        at_us: u64,
         /// In order.
         changes: Vec<Change>,
     },
-}
-
-/// A user's wish; the server decides.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Intent {
-    /// Rises with every intent of this user, also over a restart of their program (it begins at the time of day); a lower one that
-    /// comes late is dropped.
-    pub sequence: u64,
-    /// What is wished for.
-    pub action: Action,
-}
-
-/// What a user may wish for.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub enum Action {
-    /// Take hold of an object: until released it follows this user alone.
-    Grab(ObjectId),
-    /// Put the object here.
-    Move(ObjectId, Transform),
-    /// Let go.
-    Release(ObjectId),
 }
 
 /// Why a delta does not fit a scene.
@@ -235,7 +300,7 @@ impl Scene {
     pub fn apply(&mut self, message: &SceneMessage) -> Result<(), ApplyError> {
         match message {
             SceneMessage::Snapshot(scene) => self.clone_from(scene),
-            SceneMessage::Delta { revision, changes } => {
+            SceneMessage::Delta { revision, changes, .. } => {
                 // A snapshot may carry any revision, the last one included: then nothing can follow it.
                 if self.revision.checked_add(1) != Some(*revision) {
                     return Err(ApplyError::Gap { have: self.revision, got: *revision });
@@ -272,13 +337,12 @@ impl Scene {
         Ok(())
     }
 
-    /// The assets that the objects and the place name, each once, in order.
+    /// The assets that the objects, the place and the library name, each once, in order.
     #[must_use]
     pub fn assets(&self) -> Vec<AssetId> {
-        let mut ids: Vec<_> = self
-            .objects
-            .iter()
-            .filter_map(|object| match object.geometry {
+        let geometries = self.objects.iter().map(|object| object.geometry).chain(self.library.iter().map(|item| item.geometry));
+        let mut ids: Vec<_> = geometries
+            .filter_map(|geometry| match geometry {
                 Geometry::Model(id) => Some(id),
                 Geometry::Shape(_) => None,
             })
@@ -309,6 +373,19 @@ impl Transform {
     }
 }
 
+impl Material {
+    /// Bounds every part; `message` names what carries it.
+    ///
+    /// # Errors
+    /// [`WireError::OutOfRange`] naming the field.
+    pub fn validate(&self, message: &'static str) -> Result<(), WireError> {
+        let unit = |v: f32| (0.0..=1.0).contains(&v);
+        ensure_in_range(self.base_color.into_iter().all(unit), message, "base_color", || format!("{:?}", self.base_color))?;
+        ensure_in_range(unit(self.roughness), message, "roughness", || self.roughness.to_string())?;
+        ensure_in_range(unit(self.metallic), message, "metallic", || self.metallic.to_string())
+    }
+}
+
 impl Object {
     /// Bounds the transform, the material and the animation's name; `message` names what carries it.
     ///
@@ -316,12 +393,7 @@ impl Object {
     /// [`WireError::OutOfRange`] naming the field.
     pub fn validate(&self, message: &'static str) -> Result<(), WireError> {
         self.transform.validate(message)?;
-        if let Some(material) = self.material {
-            let unit = |v: f32| (0.0..=1.0).contains(&v);
-            ensure_in_range(material.base_color.into_iter().all(unit), message, "base_color", || format!("{:?}", material.base_color))?;
-            ensure_in_range(unit(material.roughness), message, "roughness", || material.roughness.to_string())?;
-            ensure_in_range(unit(material.metallic), message, "metallic", || material.metallic.to_string())?;
-        }
+        self.material.map_or(Ok(()), |material| material.validate(message))?;
         match &self.animation {
             Playback::Named(name) => ensure_in_range((1..=MAX_ANIMATION_BYTES).contains(&name.len()), message, "animation", || {
                 format!("a name of {} bytes, 1 to {MAX_ANIMATION_BYTES}", name.len())
@@ -347,15 +419,21 @@ impl Scene {
         ensure_in_range(self.place.len() <= MAX_PLACE_MESHES, message, "place", || {
             format!("{} meshes, at most {MAX_PLACE_MESHES}", self.place.len())
         })?;
-        self.place.iter().try_for_each(|mesh| mesh.transform.validate(message))?;
+        self.ground.validate(message)?;
+        self.place.iter().try_for_each(|mesh| mesh.transform.validate(message).and_then(|()| mesh.gloss.validate(message)))?;
+        ensure_in_range(self.library.len() <= MAX_LIBRARY, message, "library", || {
+            format!("{} items, at most {MAX_LIBRARY}", self.library.len())
+        })?;
+        self.library.iter().try_for_each(|item| item.validate(message))?;
         self.objects.iter().try_for_each(|object| object.validate(message))
     }
 }
 
 impl Message for SceneMessage {
     const NAME: &'static str = "scene message";
-    /// 2: objects have a [`Playback`], scenes have meshes of the place.
-    const VERSION: u8 = 2;
+    /// 2: objects have a [`Playback`], scenes have meshes of the place. 3: scenes have a library, deltas say when they were, ground and
+    /// place have a [`Gloss`].
+    const VERSION: u8 = 3;
 
     fn validate(&self) -> Result<(), WireError> {
         match self {
@@ -370,109 +448,6 @@ impl Message for SceneMessage {
                     Change::Remove(_) => Ok(()),
                 })
             }
-        }
-    }
-}
-
-impl Message for Intent {
-    const NAME: &'static str = "intent";
-    const VERSION: u8 = 1;
-
-    fn validate(&self) -> Result<(), WireError> {
-        match &self.action {
-            Action::Move(_, transform) => transform.validate(Self::NAME),
-            Action::Grab(_) | Action::Release(_) => Ok(()),
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    fn object(id: u32) -> Object {
-        let geometry = Geometry::Shape(Shape::Cube);
-        Object { id: ObjectId(id), geometry, transform: Transform::default(), material: None, animation: Playback::default() }
-    }
-
-    #[test]
-    fn deltas_apply_in_order_and_a_gap_changes_nothing() {
-        let mut scene = Scene { objects: vec![object(1), object(5)], ..Scene::default() };
-        let moved = Transform { position: Vec3::X, ..Transform::default() };
-        let delta = |revision, changes| SceneMessage::Delta { revision, changes };
-        scene.apply(&delta(1, vec![Change::Put(object(3)), Change::Move(ObjectId(5), moved), Change::Remove(ObjectId(1))])).unwrap();
-        assert_eq!(scene.objects.iter().map(|o| o.id.0).collect::<Vec<_>>(), [3, 5]);
-        assert_eq!(scene.objects[1].transform.position, Vec3::X);
-        let before = scene.clone();
-        assert_eq!(scene.apply(&delta(3, vec![])), Err(ApplyError::Gap { have: 1, got: 3 }));
-        assert_eq!(
-            scene.apply(&delta(2, vec![Change::Remove(ObjectId(3)), Change::Remove(ObjectId(9))])),
-            Err(ApplyError::NoSuchObject(ObjectId(9)))
-        );
-        assert_eq!(scene, before);
-    }
-
-    #[test]
-    fn nothing_follows_the_last_revision() {
-        let mut scene = Scene::default();
-        scene.apply(&SceneMessage::Snapshot(Scene { revision: u64::MAX, ..Scene::default() })).unwrap();
-        let delta = SceneMessage::Delta { revision: 0, changes: vec![] };
-        assert_eq!(scene.apply(&delta), Err(ApplyError::Gap { have: u64::MAX, got: 0 }));
-    }
-
-    #[test]
-    fn every_range_is_guarded() {
-        let broken = |break_it: fn(&mut Object)| {
-            let mut o = object(1);
-            o.material = Some(Material::default());
-            break_it(&mut o);
-            SceneMessage::Snapshot(Scene { objects: vec![o], ..Scene::default() }).to_wire().unwrap_err().to_string()
-        };
-        assert!(broken(|o| o.transform.position.x = f32::NAN).contains("position"));
-        assert!(broken(|o| o.transform.rotation = Quat::from_xyzw(1.0, 1.0, 0.0, 0.0)).contains("rotation"));
-        assert!(broken(|o| o.transform.scale.z = 0.0).contains("scale"));
-        assert!(broken(|o| o.material = Some(Material { roughness: 1.5, ..Material::default() })).contains("roughness"));
-        assert!(broken(|o| o.material = Some(Material { metallic: -0.1, ..Material::default() })).contains("metallic"));
-        assert!(broken(|o| o.material = Some(Material { base_color: [f32::INFINITY; 3], ..Material::default() })).contains("base_color"));
-        assert!(broken(|o| o.animation = Playback::Named(String::new())).contains("animation"));
-        assert!(broken(|o| o.animation = Playback::Named("ä".repeat(MAX_ANIMATION_BYTES / 2 + 1))).contains("animation"));
-    }
-
-    #[test]
-    fn the_place_is_bounded_and_its_models_are_assets() {
-        let mesh = |name: &[u8]| PlaceMesh { model: AssetId::of(name), transform: Transform::default(), casts_shadows: true };
-        let scene = Scene { place: vec![mesh(b"room"), mesh(b"table"), mesh(b"room")], ..Scene::default() };
-        assert_eq!(scene.assets().len(), 2);
-        let wire = SceneMessage::Snapshot(scene.clone()).to_wire().unwrap();
-        assert_eq!(SceneMessage::from_wire(&wire).unwrap(), SceneMessage::Snapshot(scene.clone()));
-        let refused = |place| SceneMessage::Snapshot(Scene { place, ..scene.clone() }).to_wire().unwrap_err().to_string();
-        assert!(refused(vec![mesh(b"room"); MAX_PLACE_MESHES + 1]).contains("place"));
-        let far = Transform { position: Vec3::splat(f32::INFINITY), ..Transform::default() };
-        assert!(refused(vec![PlaceMesh { transform: far, ..mesh(b"room") }]).contains("position"));
-    }
-
-    #[test]
-    fn a_full_scene_fits_a_message() {
-        let objects = (0..MAX_OBJECTS as u32).map(|id| Object {
-            geometry: Geometry::Model(AssetId::of(&id.to_le_bytes())),
-            material: Some(Material::default()),
-            animation: Playback::Named("a".repeat(MAX_ANIMATION_BYTES)),
-            ..object(id)
-        });
-        let mesh = PlaceMesh { model: AssetId::of(b"room"), transform: Transform::default(), casts_shadows: true };
-        let place = vec![mesh; MAX_PLACE_MESHES];
-        let scene = SceneMessage::Snapshot(Scene { objects: objects.collect(), place, ..Scene::default() });
-        let wire = scene.to_wire().unwrap();
-        assert_eq!(SceneMessage::from_wire(&wire).unwrap(), scene);
-    }
-
-    proptest! {
-        #[test]
-        fn random_bytes_never_panic(mut bytes in proptest::collection::vec(any::<u8>(), 1..400)) {
-            bytes[0] = SceneMessage::VERSION;
-            let _ = SceneMessage::from_wire(&bytes);
-            let _ = Intent::from_wire(&bytes);
         }
     }
 }

@@ -8,6 +8,7 @@ pub mod frame;
 pub mod image_file;
 pub mod ingest;
 pub mod lighting;
+pub mod physics;
 pub mod plaza;
 pub mod serve;
 pub mod session;

@@ -33,8 +33,10 @@ pub struct View {
     pub layer_origin: [f32; 2],
     /// Size of that part, pixels.
     pub layer_size: [f32; 2],
-    /// Unused.
-    pub padding: [f32; 2],
+    /// Radius of the dome that the background lies on, metres.
+    pub dome_m: f32,
+    /// Rays along each side of a pixel that show the background.
+    pub rays: u32,
 }
 
 /// `ShadowMap`: what casts shadows, as one light sees it.
@@ -104,6 +106,14 @@ pub struct Lighting {
     pub ground_min: [f32; 2],
     /// x and z, metres.
     pub ground_max: [f32; 2],
+    /// Perceptual.
+    pub ground_roughness: f32,
+    /// Reflectance straight on.
+    pub ground_f0: f32,
+    /// Of objects over the ground, metres.
+    pub highest_m: f32,
+    /// Unused.
+    pub padding: f32,
 }
 
 /// `Occluder`: a sphere that stands for an object or a part of it.
@@ -447,7 +457,7 @@ mod tests {
 
     #[test]
     fn mirrors_match_the_shaders() {
-        mirrors!(Object, View { clip_from_world, world_from_ndc, position, eye, size_px, layer_origin, layer_size, padding });
+        mirrors!(Object, View { clip_from_world, world_from_ndc, position, eye, size_px, layer_origin, layer_size, dome_m, rays });
         mirrors!(Object, ShadowMap { from_world, half_width_m, range_m, texel_m, layer });
         mirrors!(Object, Light { direction, tan_radius, irradiance, cut, objects, place });
         mirrors!(
@@ -464,7 +474,11 @@ mod tests {
                 ground_y,
                 lights,
                 ground_min,
-                ground_max
+                ground_max,
+                ground_roughness,
+                ground_f0,
+                highest_m,
+                padding
             }
         );
         mirrors!(Object, Occluder { center, radius, albedo, object, specular, padding });

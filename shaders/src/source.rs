@@ -124,10 +124,14 @@ pub enum Module {
     Object,
     /// Virtual objects of glass, after all others.
     Glass,
-    /// Ground as shadow catcher.
+    /// Ground and place as catchers of shadows and reflections.
     Ground,
+    /// What the ground mirrors to its next level.
+    MirrorMip,
     /// Video and objects to the target.
     Composite,
+    /// Depth of a whole view.
+    Depth,
     /// What is told of a frame, over the view.
     Overlay,
     /// Light kernels at given directions, for tests against their CPU twins.
@@ -138,7 +142,7 @@ pub enum Module {
 
 impl Module {
     /// Every module.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 15] = [
         Self::EnvironmentLift,
         Self::EnvironmentMip,
         Self::EnvironmentPrefilter,
@@ -148,7 +152,9 @@ impl Module {
         Self::Object,
         Self::Glass,
         Self::Ground,
+        Self::MirrorMip,
         Self::Composite,
+        Self::Depth,
         Self::Overlay,
         Self::Probe,
         Self::BrdfProbe,
@@ -167,7 +173,9 @@ impl Module {
             Self::Object => "object.wgsl",
             Self::Glass => "glass.wgsl",
             Self::Ground => "ground.wgsl",
+            Self::MirrorMip => "mirror_mip.wgsl",
             Self::Composite => "composite.wgsl",
+            Self::Depth => "depth.wgsl",
             Self::Overlay => "overlay.wgsl",
             Self::Probe => "probe.wgsl",
             Self::BrdfProbe => "brdf_probe.wgsl",
@@ -199,6 +207,7 @@ macro_rules! files {
 }
 
 files![
+    "background.wgsl",
     "brdf.wgsl",
     "brdf_probe.wgsl",
     "caster.wgsl",
@@ -207,6 +216,7 @@ files![
     "cube.wgsl",
     "cutout.wgsl",
     "deform.wgsl",
+    "depth.wgsl",
     "environment_lift.wgsl",
     "environment_mip.wgsl",
     "environment_prefilter.wgsl",
@@ -214,11 +224,14 @@ files![
     "frame.wgsl",
     "fullscreen.wgsl",
     "glass.wgsl",
+    "gloss.wgsl",
     "ground.wgsl",
     "material.wgsl",
+    "mirror_mip.wgsl",
     "object.wgsl",
     "occlusion.wgsl",
     "overlay.wgsl",
+    "parallax.wgsl",
     "probe.wgsl",
     "reflection.wgsl",
     "sh.wgsl",

@@ -13,7 +13,10 @@ struct View {
     // Corner of the image's part that the layer of objects and ground holds, and that part's size.
     layer_origin: vec2<f32>,
     layer_size: vec2<f32>,
-    padding: vec2<f32>,
+    // Of the dome that the background lies on, metres.
+    dome_m: f32,
+    // Rays along each side of a pixel that show the background.
+    rays: u32,
 }
 
 // What casts shadows, as one light sees it.
@@ -61,6 +64,12 @@ struct Lighting {
     // Corners of the ground that objects can change, x and z.
     ground_min: vec2<f32>,
     ground_max: vec2<f32>,
+    // How the ground mirrors objects: perceptual roughness, and reflectance straight on.
+    ground_roughness: f32,
+    ground_f0: f32,
+    // How high over the ground objects reach, metres.
+    highest_m: f32,
+    padding: f32,
 }
 
 struct Occluder {

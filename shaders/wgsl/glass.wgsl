@@ -3,6 +3,7 @@
 // followed through the depth of what was drawn).
 
 #import "object.wgsl"
+#import "parallax.wgsl"
 
 // What was drawn before, premultiplied, and its depth.
 @group(0) @binding(6) var drawn: texture_2d<f32>;
@@ -142,7 +143,7 @@ fn beyond(way: Passage, spread: f32) -> Beyond {
     let ground_m = select(1e9, min(fall / way.direction.y, 1e6), lands);
     var met_m = meets_drawn(way.exit, way.direction, ground_m * 1.01);
     if met_m < 0.0 {
-        let towards = normalize(way.exit + way.direction * ground_m - view.position);
+        let towards = filmed_at(way.exit + way.direction * ground_m);
         // What is blended has no depth: it is seen as far away as the panorama is.
         let place = layer_place(way.exit + way.direction * min(ground_m, BEYOND_LAST_M));
         var blended = vec4(0.0);
@@ -160,7 +161,7 @@ fn beyond(way: Passage, spread: f32) -> Beyond {
         sum += textureLoad(drawn, layer_place(way.exit + (way.direction + aside) * met_m).texel, 0);
         turn = turned(turn);
     }
-    return Beyond(sum / f32(taps), normalize(way.exit + way.direction * met_m - view.position));
+    return Beyond(sum / f32(taps), filmed_at(way.exit + way.direction * met_m));
 }
 
 // Radiance of glass. A mask cuts holes into it, and it may glow; occlusion counts for nothing in what is seen through.

@@ -5,9 +5,6 @@
 #import "reflection.wgsl"
 #import "material.wgsl"
 
-// What kind of surface a draw has: one of the SURFACE constants.
-override SURFACE: u32 = 3u;
-
 struct ObjectVertex {
     @builtin(position) clip: vec4<f32>,
     @location(0) world: vec3<f32>,
@@ -133,11 +130,6 @@ struct Reflected {
     map_share: f32,
 }
 
-// Solid angle between the directions of neighbouring pixels.
-fn spanned(direction: vec3<f32>) -> f32 {
-    return min(length(cross(dpdx(direction), dpdy(direction))), 4.0 * PI) + 1e-9;
-}
-
 // Reflected radiance: the maps where the surface is smooth, spherical harmonics where it is rough.
 fn reflected(world: vec3<f32>, mirror: vec3<f32>, roughness: f32) -> Reflected {
     if SURFACE == SURFACE_ROUGH {
@@ -252,4 +244,41 @@ fn fs_object_masked(in: ObjectVertex, @builtin(front_facing) front: bool) -> Mas
 @fragment
 fn fs_object_detailed_masked(in: DetailedVertex, @builtin(front_facing) front: bool) -> Masked {
     return masked(without_detail(in), detailed_point(in, front));
+}
+
+// What the ground mirrors of an object: the radiance that leaves it towards the eye's image, premultiplied by its alpha.
+struct Mirrored {
+    @location(0) radiance: vec4<f32>,
+    // Alpha over the way from the ground to the surface, per metre: their mean is nearer to the nearest.
+    @location(1) nearness: vec4<f32>,
+}
+
+// Drawn from the eye's image beneath the ground, `view.position`, whose rays pass the ground on their way up.
+fn mirrored(in: ObjectVertex, point: SurfacePoint) -> Mirrored {
+    let above_m = in.world.y - lighting.ground_y;
+    let hidden = above_m < 0.0 || (ALPHA == ALPHA_MASK && point.alpha < material.alpha_cutoff);
+    var whole = point;
+    if ALPHA == ALPHA_MASK {
+        whole.alpha = 1.0;
+    }
+    let radiance = shaded(in, whole);
+    if hidden {
+        discard;
+    }
+    let beneath_m = lighting.ground_y - view.position.y;
+    let way_m = distance(in.world, view.position) * above_m / max(above_m + beneath_m, 1e-6);
+    return Mirrored(radiance, vec4(radiance.a / max(way_m, NEAREST_MIRRORED_M), 0.0, 0.0, radiance.a));
+}
+
+// Nearer than this to the ground, what it mirrors is as sharp as here.
+const NEAREST_MIRRORED_M: f32 = 0.005;
+
+@fragment
+fn fs_object_mirrored(in: ObjectVertex, @builtin(front_facing) front: bool) -> Mirrored {
+    return mirrored(in, plain_point(in, front));
+}
+
+@fragment
+fn fs_object_detailed_mirrored(in: DetailedVertex, @builtin(front_facing) front: bool) -> Mirrored {
+    return mirrored(without_detail(in), detailed_point(in, front));
 }

@@ -29,10 +29,10 @@ fn within_reach(radii: f32) -> f32 {
     return 1.0 - smoothstep(0.6 * OCCLUDER_REACH, OCCLUDER_REACH, radii);
 }
 
-// Share of a lobe around a direction that a sphere hides: two cones that overlap, the lobe's of this solid angle.
+// Share of a lobe around a direction that a sphere fills: two cones that overlap, the lobe's of this solid angle.
 // Oat & Sander 2007, "Ambient aperture lighting", Sec. 4: all of the narrower one where they lie within each other, and
 // a smooth step from there to where they part.
-fn sphere_in_lobe(to_center: vec3<f32>, radius: f32, axis: vec3<f32>, lobe_sr: f32) -> f32 {
+fn sphere_in_cone(to_center: vec3<f32>, radius: f32, axis: vec3<f32>, lobe_sr: f32) -> f32 {
     let distance = max(length(to_center), 1e-6);
     let sphere_cos = sqrt(max(1.0 - radius * radius / (distance * distance), 0.0));
     let lobe_cos = 1.0 - min(lobe_sr / (2.0 * PI), 1.0);
@@ -40,7 +40,12 @@ fn sphere_in_lobe(to_center: vec3<f32>, radius: f32, axis: vec3<f32>, lobe_sr: f
     let lobe = acos(lobe_cos);
     let apart = acos(clamp(dot(axis, to_center) / distance, -1.0, 1.0));
     let most = min((1.0 - sphere_cos) / max(1.0 - lobe_cos, 1e-6), 1.0);
-    return most * (1.0 - smoothstep(abs(sphere - lobe), sphere + lobe, apart)) * within_reach(distance / radius);
+    return most * (1.0 - smoothstep(abs(sphere - lobe), sphere + lobe, apart));
+}
+
+// Share of a lobe that an occluder within reach hides.
+fn sphere_in_lobe(to_center: vec3<f32>, radius: f32, axis: vec3<f32>, lobe_sr: f32) -> f32 {
+    return sphere_in_cone(to_center, radius, axis, lobe_sr) * within_reach(length(to_center) / radius);
 }
 
 // The next occluder from `start` on that reaches a point; occluder_count if none does. Those of object `own` do
@@ -88,7 +93,8 @@ fn real_ratio(world: vec3<f32>, normal: vec3<f32>, ambient: vec3<f32>, unshadowe
         let to_center = occluder.center - world;
         let factor = sphere_form_factor(to_center, occluder.radius, normal);
         changed = changed || factor > 0.0;
-        let hidden = sh_radiance(normalize(to_center)) * PI / max(ambient, vec3(1e-6));
+        // Mean radiance behind the sphere over that from above: of a small one what lies behind its middle, and all there is behind one that fills the view.
+        let hidden = mix(sh_radiance(normalize(to_center)) * PI / max(ambient, vec3(1e-6)), vec3(1.0), factor);
         // Of the colour of what is hidden: what the underside shows lies about the point, not overhead.
         let share = min(dot(sky, LUMA) / max(dot(hidden, LUMA), 1e-6), 0.5);
         let taken = factor * hidden * (1.0 - occluder.albedo * lighting.ground_reflectance - occluder.specular * share);

@@ -7,6 +7,8 @@
 @group(2) @binding(1) var environment_sampler: sampler;
 @group(2) @binding(4) var prefiltered: texture_cube<f32>;
 
+// What kind of surface a draw has: one of the SURFACE constants.
+override SURFACE: u32 = 3u;
 // How lobes are looked up: one of the REFLECTIONS constants.
 override REFLECTIONS: u32 = 0u;
 
@@ -128,6 +130,11 @@ fn lobe_taps(mirror: vec3<f32>, lobe_sr: f32) -> vec3<f32> {
         }
     }
     return sum / f32(LOBE_TAPS);
+}
+
+// Solid angle between the directions of neighbouring pixels.
+fn spanned(direction: vec3<f32>) -> f32 {
+    return min(length(cross(dpdx(direction), dpdy(direction))), 4.0 * PI) + 1e-9;
 }
 
 // What a pixel that spans this much averages over: twice as much, since trilinear texels of its own size would show as they

@@ -58,9 +58,14 @@ fn video_code(uv: vec2<f32>, eye: u32) -> vec3<f32> {
     if !PLANAR {
         return plane_sample(plane_0, uv.x, uv.y, rect).rgb;
     }
+    return planar_code(plane_sample(plane_0, uv.x, uv.y, rect).r, uv, rect);
+}
+
+// Of this luma, with the chroma of a point.
+fn planar_code(luma: f32, uv: vec2<f32>, rect: vec4<f32>) -> vec3<f32> {
     let chroma_u = uv.x + video.chroma_shift_u / rect.z;
     let yuv = vec3(
-        plane_sample(plane_0, uv.x, uv.y, rect).r,
+        luma,
         plane_sample(plane_1, chroma_u, uv.y, rect).r,
         plane_sample(plane_2, chroma_u, uv.y, rect).r,
     );

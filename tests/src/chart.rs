@@ -159,6 +159,20 @@ fn steps(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     points.first().copied().into_iter().chain(corners).collect()
 }
 
+/// The points that no other one beats in one of time and error without losing in the other, fastest first.
+#[must_use]
+pub fn pareto_front(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let mut sorted = points.to_vec();
+    sorted.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
+    let mut best = f64::INFINITY;
+    sorted.retain(|(_, error)| {
+        let better = *error < best;
+        best = best.min(*error);
+        better
+    });
+    sorted
+}
+
 /// An axis with its range, laid between two pixels.
 pub(crate) struct Ruler {
     scale: Scale,
@@ -315,6 +329,13 @@ mod tests {
         // Elsewhere a value that is no number is a fault.
         chart.series[1].mark = Mark::Line;
         assert!(chart.svg().unwrap_err().to_string().contains("does not fit"));
+    }
+
+    #[test]
+    fn the_front_holds_what_nothing_beats() {
+        let points = [(3.0, 1.0), (1.0, 5.0), (2.0, 5.0), (2.0, 4.0), (4.0, 1.0), (1.0, 6.0)];
+        assert_eq!(pareto_front(&points), [(1.0, 5.0), (2.0, 4.0), (3.0, 1.0)]);
+        assert_eq!(pareto_front(&[]), []);
     }
 
     #[test]

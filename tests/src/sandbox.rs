@@ -50,12 +50,24 @@ impl Sandbox {
     }
 
     fn command(&self, name: &str) -> Result<Command> {
-        let mut command = Command::new(program_path(name)?);
+        Ok(self.at_home(Command::new(program_path(name)?)))
+    }
+
+    /// The same `mr360-client`, started by another program that takes its path and arguments.
+    ///
+    /// # Errors
+    /// When it has not been built.
+    pub fn client_command_by(&self, mut starter: Command) -> Result<Command> {
+        starter.arg(program_path("mr360-client")?);
+        Ok(self.at_home(starter))
+    }
+
+    fn at_home(&self, mut command: Command) -> Command {
         command.current_dir(self.folder.path()).env("HOME", self.folder.path());
         for (variable, folder) in [("XDG_CONFIG_HOME", "config"), ("XDG_DATA_HOME", "data"), ("XDG_CACHE_HOME", "cache")] {
             command.env(variable, self.path(folder));
         }
-        Ok(command)
+        command
     }
 
     /// Starts `mr360-server serve --source SOURCE ARGUMENTS…` and waits until it can be joined. Give `--listen` among the
@@ -167,6 +179,16 @@ pub fn media(name: &str) -> Result<PathBuf> {
 /// When it was not run.
 pub fn media_folder(name: &str) -> Result<PathBuf> {
     fetched(name, Path::is_dir)
+}
+
+/// The folder into which `deploy/xr-runtime install` unpacked an OpenXR runtime.
+///
+/// # Errors
+/// When it was not run.
+pub fn xr_runtime_folder() -> Result<PathBuf> {
+    let path = build_folder()?.parent().context("the build folder lies in no folder")?.join("xr-runtime");
+    ensure!(path.join("root/.complete").is_file(), "{} holds no OpenXR runtime; run: deploy/xr-runtime install", path.display());
+    Ok(path)
 }
 
 fn fetched(name: &str, is_there: fn(&Path) -> bool) -> Result<PathBuf> {

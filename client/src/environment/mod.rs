@@ -63,7 +63,9 @@ pub struct Environment {
     kind: VideoKind,
     planes: Planes,
     bind_group: wgpu::BindGroup,
-    eye_width: u32,
+    /// Of one eye's panorama.
+    eye_size: (u32, u32),
+    stereo: bool,
     reflections: ReflectionMap,
     /// The method that the reflection maps are up to date for.
     reflected: Option<Reflections>,
@@ -97,7 +99,19 @@ impl Environment {
         gpu.queue.write_buffer(&uniform, 0, bytemuck::bytes_of(&video));
         let kind =
             VideoKind { transfer: transfer_index(Transfer::Linear), planar: false, whole_width: true, lift: lift_index(Lift::Linear) };
-        Ok(Self { layout, sampler, uniform, video, kind, planes, bind_group, eye_width: 1, reflections, reflected: None })
+        Ok(Self {
+            layout,
+            sampler,
+            uniform,
+            video,
+            kind,
+            planes,
+            bind_group,
+            eye_size: (1, 1),
+            stereo: false,
+            reflections,
+            reflected: None,
+        })
     }
 
     /// Puts the next picture on the GPU. Textures are kept while size and format stay.
@@ -109,7 +123,8 @@ impl Environment {
         if self.planes.write(gpu, picture)? {
             self.bind_group = video_bind_group(&gpu.device, &self.layout, &self.uniform, &self.planes, &self.sampler);
         }
-        self.eye_width = picture.stereo.eye_size(picture.width, picture.height).0;
+        self.eye_size = picture.stereo.eye_size(picture.width, picture.height);
+        self.stereo = picture.stereo != StereoLayout::Mono;
         self.kind = VideoKind::new(picture, self.kind.lift);
         self.video = layout::Video { recovery: self.video.recovery, ..video_uniform(picture, self.planes.code_scale()) };
         gpu.queue.write_buffer(&self.uniform, 0, bytemuck::bytes_of(&self.video));
@@ -138,9 +153,25 @@ impl Environment {
         timer: &mut PassTimer,
     ) {
         if self.reflected != Some(method) {
-            self.reflections.record(gpu, encoder, (self.kind, &self.bind_group), self.eye_width, (light, method), timer);
+            self.reflections.record(gpu, encoder, (self.kind, &self.bind_group), self.eye_size.0, (light, method), timer);
             self.reflected = Some(method);
         }
+    }
+
+    /// The picture shows each eye its own view.
+    pub(crate) fn is_stereo(&self) -> bool {
+        self.stereo
+    }
+
+    /// Texels of the panorama across an angle, along its finer side; fewer at its poles, where columns are but nearer.
+    pub(crate) fn texels(&self, angle_rad: f32) -> f32 {
+        let (width, height) = (self.eye_size.0 as f32, self.eye_size.1 as f32);
+        angle_rad * (width / std::f32::consts::TAU).max(height / std::f32::consts::PI)
+    }
+
+    /// The picture is of codes: what lies between them is smooth, as it is not in light without bounds.
+    pub(crate) fn is_coded(&self) -> bool {
+        self.kind.transfer != transfer_index(Transfer::Linear)
     }
 
     /// What pipelines that see the video are made for.

@@ -15,7 +15,7 @@ pub use self::offscreen::Offscreen;
 
 use self::recording_time::RecordingTime;
 use crate::camera::Camera;
-use crate::frame_loop::{BoxError, FrameError, FrameLoop, PictureTime, Presenter, Redraw, Stage, Target};
+use crate::frame_loop::{BoxError, FrameError, FrameLoop, PictureTime, Presented, Presenter, Redraw, Shot, Stage};
 use crate::record::{PictureFile, RecordError, RecordReport, Recorder};
 
 /// Lost devices in a row after which the run ends.
@@ -202,17 +202,19 @@ impl ToFile {
 }
 
 impl Presenter for ToFile {
-    fn acquire(&mut self) -> Result<Option<Target>, FrameError> {
-        Ok(Some(self.offscreen.target()))
+    fn acquire(&mut self, camera: &Camera) -> Result<Option<Vec<Shot>>, FrameError> {
+        Ok(Some(vec![Shot { camera: *camera, target: self.offscreen.target() }]))
     }
 
-    fn present(&mut self, shown: PictureTime, now: ClientTime) -> Result<(), FrameError> {
+    fn present(&mut self, shown: PictureTime, now: ClientTime) -> Result<Presented, FrameError> {
         self.drawn = true;
+        let waited = Presented { gpu_waits: 1, headset: None };
         let Some(recorder) = self.recorder.as_mut().filter(|recorder| !recorder.has_failed()) else {
-            return self.offscreen.wait();
+            return self.offscreen.wait().map(|()| waited);
         };
         let time_us = self.tick_us.unwrap_or_else(|| self.time.of(shown, now));
         let texels = self.offscreen.read()?;
-        recorder.push(time_us, texels).map_err(|error| FrameError::Failed { action: "recording", source: error.into() })
+        recorder.push(time_us, texels).map_err(|error| FrameError::Failed { action: "recording", source: error.into() })?;
+        Ok(waited)
     }
 }

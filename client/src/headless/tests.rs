@@ -2,14 +2,15 @@ use std::sync::atomic::AtomicU64;
 use std::sync::mpsc::channel;
 
 use bytes::Bytes;
-use glam::{Vec2, Vec3};
+use glam::Vec3;
+use mr360_protocol::intent::Action;
 use mr360_protocol::light::{LightFrame, SH9};
-use mr360_protocol::scene::ObjectId;
 use mr360_protocol::video::{Colour, StereoLayout};
 
 use super::*;
 use crate::decode::{DecodeCounters, Decoded, PictureReceiver, PictureSender, outbox};
 use crate::frame_loop::{Arrival, Drawn, Inputs};
+use crate::hands::{LocalObject, World};
 use crate::picture::{Picture, Plane, Samples};
 use crate::stats::{PassTime, Stats};
 use crate::sync::{ClientClock, Paired, ReceivedLight};
@@ -42,12 +43,12 @@ impl Stage for Clear {
         true
     }
 
-    fn draw(&mut self, _camera: &Camera, target: &Target) -> Result<Drawn, FrameError> {
+    fn draw(&mut self, shots: &[Shot]) -> Result<Drawn, FrameError> {
         let value = f64::from(self.luma) / 255.0;
         let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         drop(encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-                view: &target.view,
+                view: &shots[0].target.view,
                 depth_slice: None,
                 resolve_target: None,
                 ops: wgpu::Operations {
@@ -65,18 +66,16 @@ impl Stage for Clear {
         self.lost.then(|| "pretended".to_owned())
     }
 
-    fn pick(&self, _camera: &Camera, _ndc: Vec2, _aspect: f32) -> Option<ObjectId> {
-        None
+    fn has_scene(&self) -> bool {
+        true
     }
 
-    fn ground_point(&self, _camera: &Camera, _ndc: Vec2, _aspect: f32) -> Option<Vec3> {
-        None
-    }
+    fn predict(&mut self, _action: &Action, _now: ClientTime) {}
 
-    fn position(&self, _object: ObjectId) -> Option<Vec3> {
-        None
-    }
+    fn show_local(&mut self, _objects: &[LocalObject]) {}
 }
+
+impl World for Clear {}
 
 fn graphics(lost: bool) -> Graphics<Clear> {
     let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
@@ -258,9 +257,21 @@ fn a_recording_goes_on_with_the_broadcast_of_a_server_that_came_back() {
     let mut presenter = ToFile::new(&graphics, &options(), files);
     // The second server's time is far behind the first one's when it is lost.
     for (epoch, pts_us, now) in [(0, 60_000_000, 0), (0, 60_040_000, 40_000), (1, 0, 3_000_000), (1, 40_000, 3_040_000)] {
-        presenter.acquire().unwrap();
+        presenter.acquire(&still(Duration::ZERO)).unwrap();
         presenter.present(PictureTime { epoch, pts_us }, ClientTime(now)).unwrap();
     }
     // Four frames fit the queue: none is dropped for want of time.
     assert_eq!(presenter.recorder.take().unwrap().finish().unwrap(), RecordReport { frames: 4, dropped: 0 });
+}
+
+#[test]
+fn pictures_pass_unseen_while_nothing_can_be_shown() {
+    let (mut frames, feeder) = frame_loop(30, None);
+    while !frames.pass().ended {
+        frames.rest(None);
+    }
+    feeder.join().unwrap();
+    let summary = frames.into_stats().finish().unwrap().to_string();
+    assert!(summary.starts_with("0 frames presented") && summary.contains("display skipped 0, "), "{summary}");
+    assert!(!summary.contains("display skipped 0, 0 passed"), "{summary}");
 }

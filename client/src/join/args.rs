@@ -10,7 +10,7 @@ use clap::{Args, ValueEnum};
 use mr360_protocol::join::JoinUrl;
 
 use crate::Failure;
-use crate::arguments::{parse_angle, parse_fov, parse_size};
+use crate::arguments::{parse_angle, parse_fov, parse_size, parse_tier};
 use crate::camera::Camera;
 use crate::decode::Hardware;
 use crate::frame_loop::Stage;
@@ -18,14 +18,23 @@ use crate::governor::{Governor, Tier};
 use crate::headless::{Files, HeadlessOptions, Pace};
 use crate::receive;
 use crate::record::{PictureFile, RecordError, Recorder};
+use crate::script::{self, Deed, ScriptError};
+use crate::view::Parallax;
+use crate::viewpoint::Viewpoint;
 use crate::window::WindowOptions;
+use crate::xr::{EyeRecorder, XrOptions};
 
 /// A display whose rate is not known, in thousandths of a frame a second.
 pub(super) const DISPLAY_MHZ: u32 = 60_000;
 
+/// A headset's display, in thousandths of a frame a second.
+pub(super) const HEADSET_MHZ: u32 = 90_000;
+
 /// Where to present.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Mode {
+    /// In a headset, through the system's OpenXR runtime; in a window where there is none.
+    Xr,
     /// In a window; headless where there is no display.
     Window,
     /// Nowhere, or into files.
@@ -70,10 +79,20 @@ pub struct JoinArgs {
     /// Look up, headless.
     #[arg(long, value_name = "DEGREES", default_value_t = 0.0, value_parser = parse_angle, allow_negative_numbers = true)]
     pub pitch_deg: f32,
-    /// What to leave out of frames: 0 nothing, 4 all that can be, or auto, as much as keeps up with the display [default: auto in a window,
-    /// else 0].
-    #[arg(long, value_name = "N", value_parser = parse_tier)]
+    /// Look as a view did that --record-eyes wrote, headless: from its place, and up to its edges.
+    #[arg(long, value_name = "VIEW.json", conflicts_with_all = ["fov_y_deg", "yaw_deg", "pitch_deg"])]
+    pub view: Option<PathBuf>,
+    /// Keep what the eyes saw, in a headset: once a second both pictures and, in frames.jsonl, from where.
+    #[arg(long, value_name = "FOLDER")]
+    pub record_eyes: Option<PathBuf>,
+    /// What to leave out of frames: 0 nothing, 4 all that can be, or auto, as much as keeps up with the display [default: 0 headless, else
+    /// auto].
+    #[arg(long, value_name = "N", value_parser = parse_tier_choice)]
     pub tier: Option<TierChoice>,
+    /// Distance of the background of mono video, for eyes beside the camera that filmed: infinity, ground (ground and place where they are,
+    /// all else on a dome of 50 m), or ground:RADIUS.
+    #[arg(long, default_value = "ground", value_name = "SETTING")]
+    pub parallax: Parallax,
     /// Show what a frame costs over the view, as F1 does in a window.
     #[arg(long)]
     pub overlay: bool,
@@ -83,6 +102,12 @@ pub struct JoinArgs {
     /// No sound.
     #[arg(long)]
     pub mute: bool,
+    /// Record what the user does to the scene, one JSON object a line.
+    #[arg(long, value_name = "OUT.jsonl")]
+    pub record_input: Option<PathBuf>,
+    /// Do what was recorded, from the first picture on.
+    #[arg(long, value_name = "FILE.jsonl")]
+    pub replay_input: Option<PathBuf>,
     /// Name in the session, 1 to 64 of a-z A-Z 0-9 - _ [default: a random one].
     #[arg(long, value_name = "NAME")]
     pub user: Option<String>,
@@ -104,6 +129,7 @@ pub(super) struct Settings {
     record: Option<PathBuf>,
     pub(super) snapshot: Option<PathBuf>,
     pub(super) stats: Option<PathBuf>,
+    record_eyes: Option<PathBuf>,
     pub(super) camera: Camera,
     pub(super) hardware: Hardware,
     pub(super) stop: Arc<AtomicBool>,
@@ -112,8 +138,11 @@ pub(super) struct Settings {
     duration: Option<Duration>,
     pace: Pace,
     overlay: bool,
+    pub(super) parallax: Parallax,
     tier: Option<TierChoice>,
     mute: bool,
+    record_input: Option<PathBuf>,
+    replay_input: Option<PathBuf>,
 }
 
 impl JoinArgs {
@@ -121,9 +150,19 @@ impl JoinArgs {
         let join: JoinUrl = self.url.parse()?;
         let to_file = self.record.is_some() || self.snapshot.is_some();
         let mode = self.mode.unwrap_or(if to_file || self.frames.is_some() { Mode::Headless } else { Mode::Window });
-        if mode == Mode::Window && to_file {
+        if mode != Mode::Headless && to_file {
             bail!("--record and --snapshot go with --mode headless");
         }
+        if mode != Mode::Headless && self.view.is_some() {
+            bail!("--view goes with --mode headless: elsewhere the user looks around");
+        }
+        if mode != Mode::Xr && self.record_eyes.is_some() {
+            bail!("--record-eyes goes with --mode xr");
+        }
+        let camera = match &self.view {
+            Some(path) => Viewpoint::load(path)?,
+            None => Camera::looking(self.yaw_deg.to_radians(), self.pitch_deg.to_radians(), self.fov_y_deg.to_radians()),
+        };
         let user = self.user.unwrap_or_else(|| format!("viewer-{:08x}", std::process::id() ^ random()));
         if !mr360_protocol::track::is_valid_room(&user) {
             bail!("--user {user:?}: not 1 to 64 of a-z A-Z 0-9 - _");
@@ -135,7 +174,8 @@ impl JoinArgs {
             record: self.record,
             snapshot: self.snapshot,
             stats: self.stats,
-            camera: Camera::looking(self.yaw_deg.to_radians(), self.pitch_deg.to_radians(), self.fov_y_deg.to_radians()),
+            record_eyes: self.record_eyes,
+            camera,
             hardware: if self.software_decoding { Hardware::Never } else { Hardware::Prefer },
             stop: Arc::default(),
             size: self.size,
@@ -143,15 +183,18 @@ impl JoinArgs {
             duration: self.duration,
             pace: self.fps.map_or(Pace::Video, Pace::Fixed),
             overlay: self.overlay,
+            parallax: self.parallax,
             tier: self.tier,
             mute: self.mute,
+            record_input: self.record_input,
+            replay_input: self.replay_input,
         })
     }
 }
 
 impl Settings {
     pub(super) fn wants_sound(&self) -> bool {
-        self.mode == Mode::Window && !self.mute
+        self.mode != Mode::Headless && !self.mute
     }
 
     /// For a display that shows so many frames in 1,000 seconds, or for a file.
@@ -200,6 +243,23 @@ impl Settings {
         Ok(Files { recorder: recorder.transpose().map_err(named)?, snapshot })
     }
 
+    /// Creates what keeps the eyes' pictures, as [`Settings::files`] does.
+    pub(super) fn eyes(&self) -> Result<Option<EyeRecorder>, Failure> {
+        self.record_eyes.as_deref().map(EyeRecorder::start).transpose().map_err(Failure::Input)
+    }
+
+    pub(super) fn headset(&self) -> XrOptions {
+        XrOptions { frames: self.frames, duration: self.duration, stop: Arc::clone(&self.stop) }
+    }
+
+    /// What is to be done, and where to write what the user does, checked before anything is joined.
+    pub(super) fn scripts(&self) -> Result<(Option<Vec<Deed>>, Option<script::Recorder>), Failure> {
+        let input = |error: ScriptError| Failure::Input(error.into());
+        let deeds = self.replay_input.as_deref().map(script::load).transpose().map_err(input)?;
+        let recorder = self.record_input.as_deref().map(script::Recorder::create).transpose().map_err(input)?;
+        Ok((deeds, recorder))
+    }
+
     pub(super) fn window(&self) -> WindowOptions {
         WindowOptions {
             title: format!("MR360 live: {}", self.network.join.room),
@@ -222,10 +282,8 @@ fn parse_seconds(text: &str) -> Result<Duration, String> {
     seconds.filter(|seconds| !seconds.is_zero()).ok_or_else(|| "a duration is a number of seconds above 0".to_owned())
 }
 
-fn parse_tier(text: &str) -> Result<TierChoice, String> {
-    let number = text.parse().ok().and_then(Tier::new).map(TierChoice::Fixed);
-    let choice = if text == "auto" { Some(TierChoice::Auto) } else { number };
-    choice.ok_or_else(|| format!("a tier is auto or a number from 0 to {}", Tier::LOWEST.number()))
+fn parse_tier_choice(text: &str) -> Result<TierChoice, String> {
+    if text == "auto" { Ok(TierChoice::Auto) } else { parse_tier(text).map(TierChoice::Fixed).map_err(|fault| format!("{fault}, or auto")) }
 }
 
 fn parse_fps(text: &str) -> Result<f64, String> {
@@ -238,11 +296,11 @@ mod tests {
 
     #[test]
     fn a_tier_is_auto_or_a_number_and_nothing_else() {
-        assert_eq!(parse_tier("auto"), Ok(TierChoice::Auto));
-        assert_eq!(parse_tier("0"), Ok(TierChoice::Fixed(Tier::FULL)));
-        assert_eq!(parse_tier("4"), Ok(TierChoice::Fixed(Tier::LOWEST)));
+        assert_eq!(parse_tier_choice("auto"), Ok(TierChoice::Auto));
+        assert_eq!(parse_tier_choice("0"), Ok(TierChoice::Fixed(Tier::FULL)));
+        assert_eq!(parse_tier_choice("4"), Ok(TierChoice::Fixed(Tier::LOWEST)));
         for wrong in ["5", "-1", "", "Auto"] {
-            assert!(parse_tier(wrong).unwrap_err().contains("0 to 4"), "{wrong}");
+            assert!(parse_tier_choice(wrong).unwrap_err().contains("0 to 4"), "{wrong}");
         }
     }
 }

@@ -7,7 +7,7 @@ use mr360_protocol::transport::{DialError, LinkEvent};
 use tokio::sync::mpsc;
 
 use super::arrivals::Arrivals;
-use super::live_stage::SharedScene;
+use super::shared_scene::SharedScene;
 use super::standing::Standing;
 use crate::audio::{AudioFormat, AudioPlayer, AudioTimeline};
 use crate::decode::VideoDecoder;

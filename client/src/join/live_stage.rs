@@ -1,90 +1,27 @@
 //! The renderer on a live broadcast: scene updates, pictures with their light, views.
 
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use glam::{Vec2, Vec3};
 use mr360_protocol::asset::AssetId;
 use mr360_protocol::clock::ClientTime;
+use mr360_protocol::intent::Action;
 use mr360_protocol::light::LightFrame;
-use mr360_protocol::scene::{ApplyError, ObjectId, Scene, SceneMessage, Transform};
+use mr360_protocol::scene::{Geometry, LibraryItem, Object, ObjectId, Playback, Scene, Shape, Transform};
 
-use crate::camera::Camera;
+use super::shared_scene::{SharedScene, Shown};
 use crate::environment::Environment;
-use crate::frame_loop::{BoxError, Drawn, FrameError, Stage, Target};
+use crate::frame_loop::{BoxError, Drawn, FrameError, Shot, Stage};
 use crate::governor::Governor;
-use crate::gpu::Gpu;
+use crate::gpu::{Gpu, GpuError};
+use crate::hands::{LocalObject, World, looks};
 use crate::overlay::{Overlay, Told};
-use crate::scene::model::{LoadedModel, ModelError};
+use crate::scene::mesh::Bounds;
+use crate::scene::model::LoadedModel;
 use crate::scene::pick::Ray;
-use crate::stats::PassTime;
+use crate::stats::{FrameTimes, PassTime};
 use crate::sync::{ClientClock, Paired, ReceivedLight};
-use crate::view::{Element, FrameReport, Renderer, View};
-
-/// Most bytes of memory for all models together.
-const MAX_MODEL_BYTES: usize = 2 * 1024 * 1024 * 1024;
-/// Farthest point of the ground that the pointer reaches, metres.
-const REACH_M: f32 = 100.0;
-
-/// The session's scene and models, written by the network's thread and read by the frame loop.
-#[derive(Clone, Default)]
-pub struct SharedScene(Arc<Mutex<SceneState>>);
-
-#[derive(Default, Clone)]
-struct SceneState {
-    /// Shared with the frame loop, which keeps the one it draws: changes are made to a copy then.
-    scene: Arc<Scene>,
-    models: Arc<HashMap<AssetId, LoadedModel>>,
-    /// Counts changes of either.
-    version: u64,
-}
-
-impl SharedScene {
-    fn lock(&self) -> MutexGuard<'_, SceneState> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Takes in a message of the scene track.
-    ///
-    /// # Errors
-    /// When a delta does not follow; the next snapshot heals that.
-    pub fn apply(&self, message: &SceneMessage) -> Result<(), ApplyError> {
-        let mut state = self.lock();
-        Arc::make_mut(&mut state.scene).apply(message)?;
-        state.version += 1;
-        Ok(())
-    }
-
-    /// Takes in a model. Where all together would take too much memory, those that no object shows go first.
-    pub fn add_model(&self, id: AssetId, model: LoadedModel) {
-        let mut state = self.lock();
-        let state = &mut *state;
-        let bytes = |model: &LoadedModel| model.as_ref().map_or(0, |model| model.bytes());
-        let room = MAX_MODEL_BYTES.saturating_sub(bytes(&model));
-        let models = Arc::make_mut(&mut state.models);
-        if models.values().map(bytes).sum::<usize>() > room {
-            let shown = state.scene.assets();
-            models.retain(|id, _| shown.contains(id));
-        }
-        let fits = models.values().map(bytes).sum::<usize>() <= room;
-        let too_large = ModelError::TooLarge { what: "bytes of memory with the scene's other models", limit: MAX_MODEL_BYTES };
-        models.insert(id, if fits { model } else { Err(too_large) });
-        state.version += 1;
-    }
-
-    /// Scene and models of this moment; the lock is not held any longer.
-    fn snapshot(&self) -> SceneState {
-        self.lock().clone()
-    }
-
-    /// The object's transform with another position.
-    #[must_use]
-    pub fn moved_to(&self, id: ObjectId, position: Vec3) -> Option<Transform> {
-        let state = self.lock();
-        let object = state.scene.object(id)?;
-        Some(Transform { position, ..object.transform })
-    }
-}
+use crate::view::{Element, FrameReport, MAX_LOCAL, Parallax, Renderer, View, local_id};
 
 /// The renderer behind the frame loop.
 pub struct LiveStage {
@@ -93,9 +30,15 @@ pub struct LiveStage {
     shared: SharedScene,
     /// Made when the first target tells its format.
     renderer: Option<(wgpu::TextureFormat, Renderer)>,
-    /// Version of the shared scene on the GPU.
-    shown: Option<u64>,
-    ground_y: f32,
+    /// On the GPU; its objects may have moved since.
+    shown: Option<Shown>,
+    /// Of this viewer alone, and by their ids.
+    local: Vec<LocalObject>,
+    local_ids: Vec<ObjectId>,
+    /// The local objects are others than those on the GPU.
+    local_changed: bool,
+    /// The user has moved something since the last frame.
+    stirred: bool,
     /// Objects need the light of their picture; without it they are hidden.
     lit: bool,
     light: Option<LightFrame>,
@@ -103,8 +46,12 @@ pub struct LiveStage {
     pts_us: u64,
     warned: HashMap<Element, String>,
     governor: Governor,
+    parallax: Parallax,
     clock: ClientClock,
+    /// The last frame that was presented.
+    before: Option<FrameTimes>,
     overlay_shown: bool,
+    controls_shown: bool,
     /// Made when first shown, for the format of the target.
     overlay: Option<(wgpu::TextureFormat, Overlay)>,
 }
@@ -116,22 +63,35 @@ impl LiveStage {
     /// When the build lacks a shader.
     pub fn new(gpu: Gpu, shared: SharedScene, governor: Governor) -> Result<Self, BoxError> {
         let environment = Environment::new(&gpu)?;
+        let clock = shared.clock();
         Ok(Self {
             gpu,
             environment,
             shared,
             renderer: None,
             shown: None,
-            ground_y: 0.0,
+            local: Vec::new(),
+            local_ids: Vec::new(),
+            local_changed: false,
+            stirred: false,
             lit: false,
             light: None,
             pts_us: 0,
             warned: HashMap::new(),
             governor,
-            clock: ClientClock::start(),
+            parallax: Parallax::default(),
+            clock,
+            before: None,
             overlay_shown: false,
+            controls_shown: false,
             overlay: None,
         })
+    }
+
+    /// The same with the background of mono video at this distance.
+    #[must_use]
+    pub fn with_parallax(self, parallax: Parallax) -> Self {
+        Self { parallax, ..self }
     }
 
     fn follow_scene(&mut self) {
@@ -139,18 +99,43 @@ impl LiveStage {
         // Without light there is nothing to show objects by. They stay on the GPU: the light may be back with the next picture.
         renderer.set_visible(self.lit);
         renderer.set_time(self.pts_us);
-        if self.shown == Some(self.shared.lock().version) {
+        let mut moved = self.shared.advance(self.clock.now());
+        if std::mem::take(&mut self.stirred) {
+            moved.extend(self.local_ids.iter().copied().zip(self.local.iter().map(|local| local.transform)));
+        }
+        let current = self.shown.as_ref().is_some_and(|shown| shown.version == self.shared.version()) && !self.local_changed;
+        if current && (moved.is_empty() || renderer.move_objects(&self.gpu, &moved)) {
             return;
         }
-        let state = self.shared.snapshot();
-        for warning in renderer.set_scene(&self.gpu, &state.scene, &|id| state.models.get(&id).cloned()) {
+        self.lay_out(&moved);
+    }
+
+    /// Lays the scene out anew, with what has `moved` since where it is now.
+    fn lay_out(&mut self, moved: &[(ObjectId, Transform)]) {
+        let Some((_, renderer)) = &mut self.renderer else { return };
+        let shown = self.shared.shown();
+        let mut scene = Scene::clone(&shown.scene);
+        for (id, transform) in moved {
+            if let Some(object) = scene.objects.iter_mut().find(|object| object.id == *id) {
+                object.transform = *transform;
+            }
+        }
+        scene.objects.extend(self.local_ids.iter().zip(&self.local).map(|(id, local)| Object {
+            id: *id,
+            geometry: local.geometry,
+            transform: local.transform,
+            material: local.material,
+            animation: Playback::First,
+        }));
+        let model = |id: AssetId| -> Option<LoadedModel> { looks::model(id).map(Ok).or_else(|| shown.models.get(&id).cloned()) };
+        for warning in renderer.set_scene(&self.gpu, &scene, &model) {
             let text = warning.to_string();
             if self.warned.insert(warning.element, text.clone()).as_ref() != Some(&text) {
                 tracing::warn!("{text}; it is left out");
             }
         }
-        self.ground_y = state.scene.ground_y;
-        self.shown = Some(state.version);
+        self.shown = Some(shown);
+        self.local_changed = false;
     }
 
     /// Tells the governor what a frame cost: CPU and GPU work side by side, so that the longer of the two counts. Returns it, milliseconds.
@@ -167,22 +152,26 @@ impl LiveStage {
         cost_ms
     }
 
-    fn draw_overlay(&mut self, camera: &Camera, target: &Target, drawn: &Drawn, cost_ms: f32) -> Result<(), FrameError> {
-        let Some((_, renderer)) = self.renderer.as_ref().filter(|_| self.overlay_shown) else { return Ok(()) };
-        if self.overlay.as_ref().is_none_or(|(format, _)| *format != target.format) {
+    fn draw_overlay(&mut self, shots: &[Shot], drawn: &Drawn, cost_ms: f32) -> Result<(), FrameError> {
+        let Some((_, renderer)) = self.renderer.as_ref().filter(|_| self.overlay_shown || self.controls_shown) else { return Ok(()) };
+        let Some(first) = shots.first() else { return Ok(()) };
+        let wanted = first.target.format;
+        if self.overlay.as_ref().is_none_or(|(format, _)| *format != wanted) {
             let failed = |source: BoxError| FrameError::Failed { action: "setting up the overlay", source };
-            self.overlay = Some((target.format, Overlay::new(&self.gpu, target.format).map_err(|error| failed(error.into()))?));
+            self.overlay = Some((wanted, Overlay::new(&self.gpu, wanted).map_err(|error| failed(error.into()))?));
         }
         let Some((_, overlay)) = &mut self.overlay else { return Ok(()) };
         let told = Told {
             drawn,
+            before: self.before.as_ref(),
             cost_ms,
             budget_ms: self.governor.budget_us().map(|budget| budget * 1e-3),
             light: renderer.current_light(),
-            looking: camera.ray(Vec2::ZERO, 1.0),
+            looking: first.camera.ray(Vec2::ZERO, 1.0),
+            controls: self.controls_shown,
         };
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("overlay") });
-        overlay.draw(&self.gpu, &mut encoder, (&target.view, (target.width, target.height)), &told);
+        overlay.draw(&self.gpu, &mut encoder, shots, &told);
         self.gpu.queue.submit([encoder.finish()]);
         Ok(())
     }
@@ -190,8 +179,9 @@ impl LiveStage {
 
 impl Stage for LiveStage {
     fn prepare(&mut self) -> Result<bool, FrameError> {
-        let version = self.shared.lock().version;
-        Ok(self.renderer.is_some() && self.lit && self.shown != Some(version))
+        let laid_out = self.shown.as_ref().is_some_and(|shown| shown.version == self.shared.version());
+        let changed = !laid_out || self.local_changed || self.stirred || self.shared.moving();
+        Ok(self.renderer.is_some() && self.lit && changed)
     }
 
     fn update(&mut self, paired: Paired) -> Result<(), FrameError> {
@@ -214,14 +204,16 @@ impl Stage for LiveStage {
         renderer.has_objects()
     }
 
-    fn draw(&mut self, camera: &Camera, target: &Target) -> Result<Drawn, FrameError> {
-        if self.renderer.as_ref().is_none_or(|(format, _)| *format != target.format) {
+    fn draw(&mut self, shots: &[Shot]) -> Result<Drawn, FrameError> {
+        let Some(wanted) = shots.first().map(|shot| shot.target.format) else { return Ok(Drawn::default()) };
+        if self.renderer.as_ref().is_none_or(|(format, _)| *format != wanted) {
             let failed = |source: BoxError| FrameError::Failed { action: "setting up the renderer", source };
-            let mut renderer = Renderer::new(&self.gpu, target.format).map_err(|error| failed(error.into()))?;
+            let mut renderer = Renderer::new(&self.gpu, wanted).map_err(|error| failed(error.into()))?;
+            renderer.set_parallax(self.parallax);
             if let Some(light) = &self.light {
                 renderer.set_light(light);
             }
-            self.renderer = Some((target.format, renderer));
+            self.renderer = Some((wanted, renderer));
             self.shown = None;
         }
         self.follow_scene();
@@ -230,95 +222,117 @@ impl Stage for LiveStage {
         let tier = self.governor.tier();
         renderer.set_tier(tier);
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("frame") });
-        let view = View { camera: *camera, target: &target.view, size: (target.width, target.height) };
-        let report = renderer.render(&self.gpu, &mut encoder, &mut self.environment, &[view]);
+        let views: Vec<View<'_>> = shots.iter().map(view_of).collect();
+        let depths: Vec<&wgpu::TextureView> = shots.iter().filter_map(|shot| shot.target.depth.as_ref()).collect();
+        renderer.set_keeps_depth(!depths.is_empty());
+        let report = renderer.render(&self.gpu, &mut encoder, &mut self.environment, &views);
+        if !depths.is_empty() {
+            let failed = |error: GpuError| FrameError::Failed { action: "writing depth", source: error.into() };
+            renderer.write_depth(&self.gpu, &mut encoder, &depths).map_err(failed)?;
+        }
         self.gpu.queue.submit([encoder.finish()]);
         let FrameReport { passes, plan, .. } = report;
         let cost_ms = self.govern(begun, &passes);
         let drawn = Drawn { passes, tier, plan };
-        self.draw_overlay(camera, target, &drawn, cost_ms)?;
+        self.draw_overlay(shots, &drawn, cost_ms)?;
         Ok(drawn)
+    }
+
+    fn presented(&mut self, times: &FrameTimes) {
+        self.before = Some(*times);
+    }
+
+    fn set_interval(&mut self, interval_us: u32) {
+        self.governor.set_interval(interval_us);
     }
 
     fn toggle_overlay(&mut self) {
         self.overlay_shown = !self.overlay_shown;
+        self.controls_shown = false;
+    }
+
+    fn toggle_controls(&mut self) {
+        self.controls_shown = !self.controls_shown;
     }
 
     fn device_lost(&self) -> Option<String> {
         self.gpu.lost().then(|| "the driver gave it up".to_owned())
     }
 
-    fn pick(&self, camera: &Camera, ndc: Vec2, aspect: f32) -> Option<ObjectId> {
-        let (_, renderer) = self.renderer.as_ref()?;
-        Some(renderer.pick(&ray(camera, ndc, aspect))?.0)
+    fn has_scene(&self) -> bool {
+        self.shown.as_ref().is_some_and(|shown| shown.version > 0)
     }
 
-    fn ground_point(&self, camera: &Camera, ndc: Vec2, aspect: f32) -> Option<Vec3> {
-        ray(camera, ndc, aspect).ground(self.ground_y, REACH_M)
+    fn predict(&mut self, action: &Action, now: ClientTime) {
+        let at = action.object().and_then(|object| self.transform(object));
+        self.shared.lead(action, at, now);
+        self.stirred = true;
     }
 
-    fn position(&self, object: ObjectId) -> Option<Vec3> {
-        Some(self.shared.lock().scene.object(object)?.transform.position)
+    fn show_local(&mut self, objects: &[LocalObject]) {
+        let objects = &objects[..objects.len().min(MAX_LOCAL as usize)];
+        let alike = |a: &LocalObject, b: &LocalObject| (a.geometry, a.material, a.casts) == (b.geometry, b.material, b.casts);
+        let same = objects.len() == self.local.len() && objects.iter().zip(&self.local).all(|(a, b)| alike(a, b));
+        self.local_changed |= !same;
+        self.stirred |= self.local != objects;
+        self.local = objects.to_vec();
+        self.local_ids = (0..).zip(objects).map(|(index, local)| local_id(index, local.casts)).collect();
     }
 }
 
-fn ray(camera: &Camera, ndc: Vec2, aspect: f32) -> Ray {
-    Ray { origin: camera.position, direction: camera.ray(ndc, aspect) }
+fn view_of(shot: &Shot) -> View<'_> {
+    View { camera: shot.camera, target: &shot.target.view, size: (shot.target.width, shot.target.height) }
+}
+
+impl World for LiveStage {
+    fn pick(&self, ray: &Ray) -> Option<(ObjectId, Vec3)> {
+        self.renderer.as_ref()?.1.pick(ray)
+    }
+
+    fn near(&self, point: Vec3, reach_m: f32) -> Option<ObjectId> {
+        self.renderer.as_ref()?.1.near(point, reach_m)
+    }
+
+    fn transform(&self, object: ObjectId) -> Option<Transform> {
+        Some(self.renderer.as_ref()?.1.target(object)?.transform)
+    }
+
+    fn object_bounds(&self, object: ObjectId) -> Option<Bounds> {
+        Some(self.renderer.as_ref()?.1.target(object)?.bounds)
+    }
+
+    fn bounds(&self, geometry: &Geometry) -> Option<Bounds> {
+        match geometry {
+            Geometry::Shape(Shape::Plane) => Some(Bounds { min: Vec3::new(-0.5, 0.0, -0.5), max: Vec3::new(0.5, 0.0, 0.5) }),
+            Geometry::Shape(_) => Some(Bounds { min: Vec3::splat(-0.5), max: Vec3::splat(0.5) }),
+            Geometry::Model(id) => Some(self.shown.as_ref()?.models.get(id)?.as_ref().ok()?.bounds),
+        }
+    }
+
+    fn library(&self) -> &[LibraryItem] {
+        self.shown.as_ref().map_or(&[][..], |shown| &shown.scene.library[..])
+    }
+
+    fn ground_y(&self) -> f32 {
+        self.shown.as_ref().map_or(0.0, |shown| shown.scene.ground_y)
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use mr360_protocol::light::{LightFrame, SH9};
-    use mr360_protocol::scene::{Geometry, Object};
+    use mr360_protocol::scene::SceneMessage;
     use mr360_protocol::video::{StereoLayout, Transfer};
 
     use super::*;
+    use crate::camera::Camera;
     use crate::governor::Tier;
     use crate::picture::{Picture, Samples};
-    use crate::scene::mesh::{Bounds, Mesh};
-    use crate::scene::model::Model;
     use crate::sync::ReceivedLight;
-
-    fn model(indices: usize) -> LoadedModel {
-        let mesh = Mesh { vertices: Vec::new(), indices: vec![0; indices] };
-        let parts = vec![crate::scene::model::Part { mesh, ..Default::default() }];
-        Ok(Arc::new(Model { parts, textures: Vec::new(), bounds: Bounds::EMPTY, rig: None }))
-    }
 
     fn snapshot(geometry: Geometry) -> SceneMessage {
         let object = Object { id: ObjectId(1), geometry, transform: Transform::default(), material: None, animation: Default::default() };
         SceneMessage::Snapshot(Scene { objects: vec![object], ..Scene::default() })
-    }
-
-    #[test]
-    fn what_the_frame_loop_holds_does_not_change_under_it() {
-        let shared = SharedScene::default();
-        let id = AssetId::of(b"a");
-        shared.apply(&snapshot(Geometry::Model(id))).unwrap();
-        let before = shared.snapshot();
-        shared.add_model(id, model(3));
-        shared.apply(&SceneMessage::Snapshot(Scene::default())).unwrap();
-        assert_eq!((before.scene.objects.len(), before.models.len(), before.version), (1, 0, 1));
-        let after = shared.snapshot();
-        assert_eq!((after.scene.objects.len(), after.models.len(), after.version), (0, 1, 3));
-        // Nothing changed: the same scene and models, not copies of them.
-        assert!(Arc::ptr_eq(&after.scene, &shared.snapshot().scene) && Arc::ptr_eq(&after.models, &shared.snapshot().models));
-    }
-
-    #[test]
-    fn models_that_nobody_shows_make_room_and_too_many_are_refused() {
-        let shared = SharedScene::default();
-        let [shown, unseen, third, fourth] = [b"a", b"b", b"c", b"d"].map(|name| AssetId::of(name));
-        shared.apply(&snapshot(Geometry::Model(shown))).unwrap();
-        // Zeroed memory that nobody reads costs none.
-        let large = || model(MAX_MODEL_BYTES / 4 / 2);
-        shared.add_model(shown, large());
-        shared.add_model(unseen, large());
-        shared.add_model(third, model(3));
-        let models = shared.snapshot().models;
-        assert!(models.contains_key(&shown) && !models.contains_key(&unseen) && models[&third].is_ok());
-        shared.add_model(fourth, model(MAX_MODEL_BYTES / 4 / 2 + 1));
-        assert!(matches!(shared.snapshot().models[&fourth], Err(ModelError::TooLarge { .. })));
     }
 
     fn paired(lit: bool) -> Paired {
@@ -330,21 +344,72 @@ mod tests {
         Paired { picture, light, arrived: now, decoded: now, paired: now }
     }
 
+    /// A stage that has drawn one frame of a ball at the origin, and what draws the next.
+    fn stand() -> (LiveStage, SharedScene, impl FnMut(&mut LiveStage, bool)) {
+        let gpu = Gpu::headless().unwrap();
+        let offscreen = crate::headless::Offscreen::new(&gpu.device, &gpu.queue, 8, 8);
+        let shared = SharedScene::new(ClientClock::start());
+        shared.apply(&snapshot(Geometry::Shape(Shape::Sphere))).unwrap();
+        let stage = LiveStage::new(gpu, shared.clone(), Governor::fixed(Tier::FULL)).unwrap();
+        let camera = Camera { position: Vec3::Z * 3.0, ..Camera::looking(0.0, 0.0, 1.0) };
+        let draw = move |stage: &mut LiveStage, lit| {
+            stage.update(paired(lit)).unwrap();
+            stage.draw(&[Shot { camera, target: offscreen.target() }]).unwrap();
+        };
+        (stage, shared, draw)
+    }
+
+    fn ahead(x: f32) -> Ray {
+        Ray { origin: Vec3::new(x, 0.0, 3.0), direction: Vec3::NEG_Z }
+    }
+
+    fn picked(stage: &LiveStage, x: f32) -> Option<ObjectId> {
+        Some(stage.pick(&ahead(x))?.0)
+    }
+
     #[test]
     fn a_gap_of_light_hides_objects_and_leaves_them_on_the_gpu() {
-        let gpu = Gpu::headless().unwrap();
-        let (device, queue) = (gpu.device.clone(), gpu.queue.clone());
-        let shared = SharedScene::default();
-        shared.apply(&snapshot(Geometry::Shape(mr360_protocol::scene::Shape::Sphere))).unwrap();
-        let mut stage = LiveStage::new(gpu, shared, Governor::fixed(Tier::FULL)).unwrap();
-        let offscreen = crate::headless::Offscreen::new(&device, &queue, 8, 8);
-        let camera = Camera { position: Vec3::Z * 3.0, ..Camera::looking(0.0, 0.0, 1.0) };
+        let (mut stage, _, mut draw) = stand();
         let mut seen = Vec::new();
         for lit in [true, false, true] {
-            stage.update(paired(lit)).unwrap();
-            stage.draw(&camera, &offscreen.target()).unwrap();
-            seen.push((stage.shown, stage.pick(&camera, Vec2::ZERO, 1.0)));
+            draw(&mut stage, lit);
+            seen.push((stage.shown.as_ref().map(|shown| shown.version), picked(&stage, 0.0)));
         }
         assert_eq!(seen, [(Some(1), Some(ObjectId(1))), (Some(1), None), (Some(1), Some(ObjectId(1)))]);
+    }
+
+    #[test]
+    fn what_the_user_leads_is_there_in_the_next_frame_and_hands_are_drawn_but_not_taken() {
+        let (mut stage, shared, mut draw) = stand();
+        assert!(!stage.has_scene());
+        draw(&mut stage, true);
+        assert!(stage.has_scene() && !stage.prepare().unwrap());
+        assert_eq!((stage.library().len(), stage.ground_y()), (4, -1.6));
+        let moved = Transform { position: Vec3::X * 5.0, ..Transform::default() };
+        for action in [Action::Grab(ObjectId(1)), Action::Move(ObjectId(1), moved)] {
+            stage.predict(&action, ClientTime(0));
+        }
+        assert!(stage.prepare().unwrap(), "it looks different");
+        draw(&mut stage, true);
+        assert_eq!((picked(&stage, 0.0), picked(&stage, 5.0)), (None, Some(ObjectId(1))));
+        assert_eq!(stage.transform(ObjectId(1)), Some(moved));
+        assert!(!stage.prepare().unwrap(), "held still, it looks the same");
+
+        let pose = crate::hands::Pose { position: Vec3::ZERO, ..crate::hands::Pose::IDENTITY };
+        let local = [looks::controller(0, &pose), looks::ray(&pose, 2.0)];
+        stage.show_local(&local);
+        assert!(stage.prepare().unwrap());
+        draw(&mut stage, true);
+        assert!(!stage.prepare().unwrap() && stage.warned.is_empty());
+        assert_eq!(picked(&stage, 0.0), None);
+        // Moved, they stay in the layout; one less, and all is laid out anew. Neither is the shared scene's business.
+        stage.show_local(&[looks::controller(0, &crate::hands::Pose { position: Vec3::Y, ..pose }), looks::ray(&pose, 3.0)]);
+        assert!(!stage.local_changed && stage.prepare().unwrap());
+        draw(&mut stage, true);
+        stage.show_local(&local[..1]);
+        assert!(stage.local_changed);
+        draw(&mut stage, true);
+        assert_eq!((shared.version(), shared.shown().scene.objects.len()), (1, 1));
+        assert_eq!(picked(&stage, 5.0), Some(ObjectId(1)), "laid out anew, it is where it is led");
     }
 }

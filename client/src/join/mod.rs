@@ -4,6 +4,7 @@ mod args;
 mod arrivals;
 mod inbox;
 mod live_stage;
+mod shared_scene;
 mod standing;
 #[cfg(test)]
 mod tests;
@@ -14,7 +15,7 @@ pub use live_stage::LiveStage;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use mr360_protocol::scene::Action;
+use mr360_protocol::intent::Action;
 use mr360_protocol::stop::asked_to_stop;
 
 use crate::Failure;
@@ -24,14 +25,16 @@ use crate::frame_loop::{BoxError, FrameLoop, Inputs};
 use crate::gpu::{self, Gpu};
 use crate::headless::{self, Files, Graphics};
 use crate::receive::{Receiver as Network, User};
+use crate::script::{self, Deed, Player};
 use crate::stats::Stats;
 use crate::sync::ClientClock;
 use crate::view;
-use crate::window::{self, UserAction, WindowError, WindowGraphics};
-use args::{DISPLAY_MHZ, Settings};
+use crate::window::{self, WindowError, WindowGraphics};
+use crate::xr::{self, EyeRecorder, XrError};
+use args::{DISPLAY_MHZ, HEADSET_MHZ, Settings};
 use arrivals::Arrivals;
 use inbox::Inbox;
-use live_stage::SharedScene;
+use shared_scene::SharedScene;
 use standing::Standing;
 
 /// Joins a broadcast and presents it until the user, a limit, or the broadcast's end.
@@ -42,11 +45,21 @@ use standing::Standing;
 pub fn run(args: JoinArgs) -> Result<(), Failure> {
     let settings = args.settle().map_err(Failure::Input)?;
     let stats = Stats::open(settings.stats.as_deref(), &view::PASSES).map_err(|error| Failure::Input(error.into()))?;
-    let files = settings.files()?;
-    present(&settings, stats, files).map_err(Failure::Running)
+    let scripts = settings.scripts()?;
+    let outputs = Outputs { files: settings.files()?, eyes: settings.eyes()? };
+    present(&settings, stats, outputs, scripts).map_err(Failure::Running)
 }
 
-fn present(settings: &Settings, stats: Stats, files: Files) -> anyhow::Result<()> {
+/// What a run writes.
+struct Outputs {
+    files: Files,
+    eyes: Option<EyeRecorder>,
+}
+
+/// What is to be done, and where to write what the user does.
+type Scripts = (Option<Vec<Deed>>, Option<script::Recorder>);
+
+fn present(settings: &Settings, stats: Stats, outputs: Outputs, (deeds, recorder): Scripts) -> anyhow::Result<()> {
     let clock = ClientClock::start();
     stop_on_signal(Arc::clone(&settings.stop))?;
     let (network, events) = Network::start(settings.network.clone(), clock)?;
@@ -54,7 +67,7 @@ fn present(settings: &Settings, stats: Stats, files: Files) -> anyhow::Result<()
     let (decoder, pictures) = VideoDecoder::start(clock, settings.hardware)?;
     let (sender, arrivals) = Arrivals::new();
     let (dropped, standing) = (sender.dropped(), Standing::new());
-    let scene = SharedScene::default();
+    let scene = SharedScene::new(clock);
     let audio = crate::audio::AudioTimeline::default();
     let inputs = Inputs { pictures, arrivals, decoder: decoder.counters(), audio: Some(audio.clone()) };
     let inbox = Inbox::new(decoder, sender, scene.clone(), standing.clone(), settings.wants_sound().then_some(audio), clock);
@@ -62,9 +75,14 @@ fn present(settings: &Settings, stats: Stats, files: Files) -> anyhow::Result<()
     inbox.spawn(events, Arc::clone(&end), Arc::clone(&settings.stop))?;
 
     let mut frames = FrameLoop::new(inputs, clock, stats);
+    let mut act = wishes(user, recorder, clock);
+    if let Some(deeds) = deeds {
+        frames.play(Player::new(deeds, Box::new(act.clone())));
+    }
     let shown = match settings.mode {
-        Mode::Window => in_window(&mut frames, settings, &scene, &user),
-        Mode::Headless => to_file(&mut frames, settings, files, &scene),
+        Mode::Xr => in_headset(&mut frames, settings, outputs.eyes, &scene, &mut act),
+        Mode::Window => in_window(&mut frames, settings, &scene, &mut act),
+        Mode::Headless => to_file(&mut frames, settings, outputs.files, &scene),
     };
     drop(network);
     let presented = frames.frames();
@@ -80,7 +98,38 @@ fn present(settings: &Settings, stats: Stats, files: Files) -> anyhow::Result<()
     standing.judge(shown, presented, settings.stop.load(Ordering::Relaxed))
 }
 
-fn in_window(frames: &mut FrameLoop, settings: &Settings, scene: &SharedScene, user: &User) -> anyhow::Result<()> {
+fn in_headset(
+    frames: &mut FrameLoop,
+    settings: &Settings,
+    eyes: Option<EyeRecorder>,
+    scene: &SharedScene,
+    act: &mut dyn FnMut(Action),
+) -> anyhow::Result<()> {
+    let mut open = |gpu: Gpu| -> Result<LiveStage, BoxError> {
+        let stage = LiveStage::new(gpu, scene.clone(), settings.governor(Some(HEADSET_MHZ)))?;
+        Ok(settings.stage(stage.with_parallax(settings.parallax)))
+    };
+    match xr::run(frames, &settings.headset(), xr::Surroundings { open: &mut open, act: &mut *act, eyes }) {
+        Err(error @ XrError::NoHeadset { .. }) => {
+            tracing::warn!("{error}; going on in a window");
+            in_window(frames, settings, scene, act)
+        }
+        result => result.map(drop).map_err(Into::into),
+    }
+}
+
+/// Where wishes go: to the server, and into the script that is recorded.
+fn wishes(user: User, recorder: Option<script::Recorder>, clock: ClientClock) -> impl FnMut(Action) + Clone + Send + 'static {
+    let recorder = recorder.map(|recorder| Arc::new(Mutex::new(recorder)));
+    move |action: Action| {
+        if let Some(recorder) = &recorder {
+            recorder.lock().unwrap_or_else(PoisonError::into_inner).write(&Deed::Action(clock.now(), action.clone()));
+        }
+        user.wish(action);
+    }
+}
+
+fn in_window(frames: &mut FrameLoop, settings: &Settings, scene: &SharedScene, act: &mut dyn FnMut(Action)) -> anyhow::Result<()> {
     let mut open = |window: Arc<winit::window::Window>| -> Result<WindowGraphics<LiveStage>, BoxError> {
         let display_mhz = window.current_monitor().and_then(|monitor| monitor.refresh_rate_millihertz()).unwrap_or(DISPLAY_MHZ);
         let governor = settings.governor(Some(display_mhz));
@@ -88,21 +137,10 @@ fn in_window(frames: &mut FrameLoop, settings: &Settings, scene: &SharedScene, u
         let surface = instance.create_surface(window)?;
         let gpu = Gpu::new(instance, Some(&surface))?;
         let (adapter, device, queue) = (gpu.adapter.clone(), gpu.device.clone(), gpu.queue.clone());
-        let stage = settings.stage(LiveStage::new(gpu, scene.clone(), governor)?);
+        let stage = settings.stage(LiveStage::new(gpu, scene.clone(), governor)?.with_parallax(settings.parallax));
         Ok(WindowGraphics { surface, adapter, device, queue, stage })
     };
-    let mut act = |action| {
-        let wish = match action {
-            UserAction::Grab(id) => Action::Grab(id),
-            UserAction::Release(id) => Action::Release(id),
-            UserAction::Move(id, position) => match scene.moved_to(id, position) {
-                Some(transform) => Action::Move(id, transform),
-                None => return,
-            },
-        };
-        user.wish(wish);
-    };
-    match window::run(frames, &settings.window(), &mut open, &mut act) {
+    match window::run(frames, &settings.window(), &mut open, act) {
         Err(error @ WindowError::NoDisplay { .. }) => {
             tracing::warn!("{error}; going on headless");
             // Nothing is written from a window, nor from what takes its place.
@@ -116,7 +154,7 @@ fn to_file(frames: &mut FrameLoop, settings: &Settings, files: Files, scene: &Sh
     let mut open = || -> Result<Graphics<LiveStage>, BoxError> {
         let gpu = Gpu::headless()?;
         let (device, queue) = (gpu.device.clone(), gpu.queue.clone());
-        let stage = settings.stage(LiveStage::new(gpu, scene.clone(), settings.governor(None))?);
+        let stage = settings.stage(LiveStage::new(gpu, scene.clone(), settings.governor(None))?.with_parallax(settings.parallax));
         Ok(Graphics { device, queue, stage })
     };
     let camera: Camera = settings.camera;

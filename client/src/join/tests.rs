@@ -1,16 +1,19 @@
 //! The renderer on a device that is really lost. They need a Vulkan adapter and fail without one.
 
-use glam::{Quat, Vec2, Vec3};
+use glam::{Quat, Vec3};
+use mr360_protocol::clock::ClientTime;
+use mr360_protocol::intent::Action;
 use mr360_protocol::light::LightFrame;
 use mr360_protocol::scene::{Geometry, Material, Object, ObjectId, Scene, SceneMessage, Shape, Transform};
 
-use super::live_stage::SharedScene;
+use super::shared_scene::SharedScene;
 use super::*;
-use crate::frame_loop::{Drawn, FrameError, Stage, Target};
+use crate::frame_loop::{Drawn, FrameError, Shot, Stage};
 use crate::governor::{Governor, Tier};
+use crate::hands::{LocalObject, World};
 use crate::headless::tests::{endless_frame_loop, png};
 use crate::headless::{Files, HeadlessOptions, Pace};
-use crate::sync::Paired;
+use crate::sync::{ClientClock, Paired};
 
 /// Where in a frame the device is destroyed.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -53,34 +56,36 @@ impl Stage for Doomed {
         self.stage.relight(light)
     }
 
-    fn draw(&mut self, camera: &Camera, target: &Target) -> Result<Drawn, FrameError> {
+    fn draw(&mut self, shots: &[Shot]) -> Result<Drawn, FrameError> {
         self.reached(Step::Draw);
-        self.stage.draw(camera, target)
+        self.stage.draw(shots)
     }
 
     fn device_lost(&self) -> Option<String> {
         self.stage.device_lost()
     }
 
-    fn pick(&self, _camera: &Camera, _ndc: Vec2, _aspect: f32) -> Option<ObjectId> {
-        None
+    fn has_scene(&self) -> bool {
+        self.stage.has_scene()
     }
 
-    fn ground_point(&self, _camera: &Camera, _ndc: Vec2, _aspect: f32) -> Option<Vec3> {
-        None
+    fn predict(&mut self, action: &Action, now: ClientTime) {
+        self.stage.predict(action, now);
     }
 
-    fn position(&self, _object: ObjectId) -> Option<Vec3> {
-        None
+    fn show_local(&mut self, objects: &[LocalObject]) {
+        self.stage.show_local(objects);
     }
 }
+
+impl World for Doomed {}
 
 /// A white ball in the middle of the view.
 fn scene() -> SharedScene {
     let transform = Transform { position: Vec3::new(0.0, 0.0, -3.0), rotation: Quat::IDENTITY, scale: Vec3::ONE };
     let material = Some(Material { base_color: [1.0; 3], ..Material::default() });
     let ball = Object { id: ObjectId(1), geometry: Geometry::Shape(Shape::Sphere), transform, material, animation: Default::default() };
-    let shared = SharedScene::default();
+    let shared = SharedScene::new(ClientClock::start());
     shared.apply(&SceneMessage::Snapshot(Scene { ground_y: -1.6, objects: vec![ball], ..Scene::default() })).unwrap();
     shared
 }

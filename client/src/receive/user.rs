@@ -5,7 +5,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::SystemTime;
 
 use mr360_protocol::codec::Message;
-use mr360_protocol::scene::{Action, Intent, ObjectId};
+use mr360_protocol::intent::{Action, Intent};
+use mr360_protocol::scene::MAX_OBJECTS;
 use mr360_protocol::track;
 use tokio::sync::{mpsc, watch};
 
@@ -13,7 +14,8 @@ use tokio::sync::{mpsc, watch};
 const INTENTS_PER_GROUP: usize = 4096;
 
 /// Wishes that wait to be sent, in the order of their sequence numbers. Of each object at most a release, a grab, a move and a release
-/// wait, so that however long nobody sends, none that takes hold or lets go is lost, and memory is bounded by the scene's objects.
+/// wait, or its removal, so that however long nobody sends, none that takes hold or lets go is lost, and memory is bounded by the scene's
+/// objects.
 #[derive(Debug)]
 struct Queue {
     /// Of the last wish.
@@ -30,16 +32,25 @@ impl Queue {
         if !self.open {
             return;
         }
-        let object = object(&action);
-        let mut of_object =
-            (0..self.waiting.len()).rev().filter(|i| self.waiting.get(*i).is_some_and(|w| self::object(&w.action) == object));
+        let Some(object) = action.object() else {
+            // More than fit into a scene would be refused.
+            if self.waiting.iter().filter(|waiting| waiting.action.object().is_none()).count() < MAX_OBJECTS {
+                self.waiting.push_back(Intent { sequence: self.sequence, action });
+            }
+            return;
+        };
+        if matches!(action, Action::Remove(_)) {
+            self.waiting.retain(|waiting| waiting.action.object() != Some(object));
+        }
+        let of_it = |waiting: &Intent| waiting.action.object() == Some(object);
+        let mut of_object = (0..self.waiting.len()).rev().filter(|i| self.waiting.get(*i).is_some_and(of_it));
         let (last, before) = (of_object.next(), of_object.next());
         let waits = |index: Option<usize>| index.and_then(|index| self.waiting.get(index)).map(|waiting| &waiting.action);
         let overtaken = match (&action, waits(last)) {
             (Action::Move(..), Some(Action::Move(..))) | (Action::Grab(_), Some(Action::Grab(_))) => last,
-            (Action::Release(_), Some(Action::Release(_))) => last,
+            (Action::Release(..), Some(Action::Release(..))) => last,
             // A drag that waits whole goes on: let go of and taken hold of again it would be the same.
-            (Action::Grab(_), Some(Action::Release(_))) if matches!(waits(before), Some(Action::Grab(_) | Action::Move(..))) => {
+            (Action::Grab(_), Some(Action::Release(..))) if matches!(waits(before), Some(Action::Grab(_) | Action::Move(..))) => {
                 self.forget(last);
                 return;
             }
@@ -54,12 +65,6 @@ impl Queue {
         if let Some(index) = waiting {
             self.waiting.remove(index);
         }
-    }
-}
-
-fn object(action: &Action) -> ObjectId {
-    match action {
-        Action::Grab(object) | Action::Move(object, _) | Action::Release(object) => *object,
     }
 }
 
@@ -177,7 +182,7 @@ pub(super) async fn publish(
     }
 }
 
-/// Until there is nobody left who wishes. A group is a drag: it ends with the release, and the newest holds nothing that is over once the
+/// Until there is nobody left who wishes. A group is a drag: it ends with the release, or with what is put or removed, and the newest holds nothing that is over once the
 /// next has begun.
 async fn publish_drags(origin: &moq_net::origin::Producer, path: &str, wishes: &mut Wishes) -> anyhow::Result<()> {
     let broadcast = origin.create_broadcast(path)?;
@@ -192,7 +197,7 @@ async fn publish_drags(origin: &moq_net::origin::Producer, path: &str, wishes: &
         };
         drag.write_frame(moq_net::Timestamp::now(), intent.to_wire()?)?;
         written += 1;
-        if matches!(intent.action, Action::Release(_)) || written == INTENTS_PER_GROUP {
+        if matches!(intent.action, Action::Release(..) | Action::Put { .. } | Action::Remove(_)) || written == INTENTS_PER_GROUP {
             drag.finish()?;
             written = 0;
         } else {
@@ -205,8 +210,13 @@ async fn publish_drags(origin: &moq_net::origin::Producer, path: &str, wishes: &
 #[cfg(test)]
 mod tests {
     use super::*;
-    use mr360_protocol::scene::Transform;
+    use mr360_protocol::intent::Motion;
+    use mr360_protocol::scene::{ObjectId, Transform};
     use mr360_protocol::transport;
+
+    fn release(object: ObjectId) -> Action {
+        Action::Release(object, Motion::STILL)
+    }
 
     async fn read(group: &mut moq_net::group::Consumer) -> Option<Action> {
         let frame = group.read_frame().await.unwrap()?;
@@ -223,12 +233,12 @@ mod tests {
         let first = origin.consume().routed_broadcast(&path).await.unwrap();
         let mut track = first.track(track::INTENT).unwrap().subscribe(track::intent_subscription()).await.unwrap();
         let (object, other) = (ObjectId(1), ObjectId(2));
-        for action in [Action::Grab(object), Action::Release(object), Action::Grab(other)] {
+        for action in [Action::Grab(object), release(object), Action::Grab(other)] {
             user.wish(action);
         }
         let mut drag = track.recv_group().await.unwrap().unwrap();
         assert_eq!(read(&mut drag).await, Some(Action::Grab(object)));
-        assert_eq!(read(&mut drag).await, Some(Action::Release(object)));
+        assert_eq!(read(&mut drag).await, Some(release(object)));
         assert_eq!(read(&mut drag).await, None);
         let mut drag = track.recv_group().await.unwrap().unwrap();
         assert_eq!(read(&mut drag).await, Some(Action::Grab(other)));
@@ -237,9 +247,9 @@ mod tests {
         first.closed().await;
         let second = origin.consume().routed_broadcast(&path).await.unwrap();
         let mut track = second.track(track::INTENT).unwrap().subscribe(track::intent_subscription()).await.unwrap();
-        user.wish(Action::Release(other));
+        user.wish(release(other));
         let mut drag = track.recv_group().await.unwrap().unwrap();
-        assert_eq!(read(&mut drag).await, Some(Action::Release(other)));
+        assert_eq!(read(&mut drag).await, Some(release(other)));
         publishing.abort();
     }
 
@@ -261,9 +271,9 @@ mod tests {
             user.wish(Action::Move(object, at(step.into())));
             user.wish(Action::Move(other, at(-f32::from(step))));
         }
-        user.wish(Action::Release(object));
+        user.wish(release(object));
         let actions: Vec<_> = waiting(&wishes).into_iter().map(|intent| intent.action).collect();
-        let expected = [Action::Grab(object), Action::Move(object, at(4999.0)), Action::Move(other, at(-4999.0)), Action::Release(object)];
+        let expected = [Action::Grab(object), Action::Move(object, at(4999.0)), Action::Move(other, at(-4999.0)), release(object)];
         assert_eq!(actions, expected);
         assert!(waiting(&wishes).is_sorted_by(|a, b| a.sequence < b.sequence));
     }
@@ -273,14 +283,14 @@ mod tests {
         let (user, wishes) = user(0);
         wishes.open();
         let object = ObjectId(1);
-        user.wish(Action::Release(object));
+        user.wish(release(object));
         for step in 0..1000u16 {
             user.wish(Action::Grab(object));
             user.wish(Action::Move(object, at(step.into())));
-            user.wish(Action::Release(object));
+            user.wish(release(object));
         }
         let actions: Vec<_> = waiting(&wishes).into_iter().map(|intent| intent.action).collect();
-        let expected = [Action::Release(object), Action::Grab(object), Action::Move(object, at(999.0)), Action::Release(object)];
+        let expected = [release(object), Action::Grab(object), Action::Move(object, at(999.0)), release(object)];
         assert_eq!(actions, expected);
         // Nobody sends any more.
         drop(wishes);
@@ -289,12 +299,29 @@ mod tests {
     }
 
     #[test]
+    fn what_is_put_and_removed_waits_bounded() {
+        let (user, wishes) = user(0);
+        wishes.open();
+        let object = ObjectId(1);
+        user.wish(Action::Put { item: 0, transform: at(1.0) });
+        user.wish(Action::Grab(object));
+        user.wish(Action::Move(object, at(2.0)));
+        user.wish(Action::Remove(object));
+        user.wish(Action::Put { item: 0, transform: at(1.0) });
+        let put = Action::Put { item: 0, transform: at(1.0) };
+        let actions: Vec<_> = waiting(&wishes).into_iter().map(|intent| intent.action).collect();
+        assert_eq!(actions, [put.clone(), Action::Remove(object), put.clone()]);
+        (0..2 * MAX_OBJECTS).for_each(|_| user.wish(put.clone()));
+        assert_eq!(waiting(&wishes).len(), MAX_OBJECTS + 1);
+    }
+
+    #[test]
     fn a_later_run_counts_on_from_an_earlier_one() {
         let began = SystemTime::UNIX_EPOCH + std::time::Duration::from_secs(1_700_000_000);
         let sequences = |began: SystemTime, wishes: u32| {
             let (user, waiting_wishes) = user(count_from(began));
             waiting_wishes.open();
-            (0..wishes).for_each(|object| user.wish(Action::Release(ObjectId(object))));
+            (0..wishes).for_each(|object| user.wish(release(ObjectId(object))));
             waiting(&waiting_wishes).iter().map(|intent| intent.sequence).collect::<Vec<_>>()
         };
         let earlier = sequences(began, 1000);

@@ -22,6 +22,13 @@ impl Bounds {
         Self { min: self.min.min(point), max: self.max.max(point) }
     }
 
+    /// What both hold; `None` where they are apart.
+    #[must_use]
+    pub fn common(self, other: &Self) -> Option<Self> {
+        let (min, max) = (self.min.max(other.min), self.max.min(other.max));
+        min.cmple(max).all().then_some(Self { min, max })
+    }
+
     /// Grown to hold another box.
     #[must_use]
     pub fn joined(self, other: &Self) -> Self {

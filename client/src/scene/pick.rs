@@ -69,6 +69,21 @@ pub fn nearest(ray: &Ray, targets: impl IntoIterator<Item = Target>) -> Option<(
         .map(|(distance, id)| (id, ray.at(distance)))
 }
 
+/// The object nearest to a point, and how far away it is, metres, if that is at most `reach_m`; 0 within its oriented bounding box or
+/// the ball itself.
+#[must_use]
+pub fn nearest_to(point: Vec3, reach_m: f32, targets: impl IntoIterator<Item = Target>) -> Option<(ObjectId, f32)> {
+    let distance = |target: &Target| {
+        let Transform { position, rotation, scale } = target.transform;
+        let local = rotation.inverse() * (point - position);
+        let (min, max) = (target.bounds.min * scale, target.bounds.max * scale);
+        let round = target.shape == Some(Shape::Sphere) && scale.max_element() - scale.min_element() <= 1e-3 * scale.max_element();
+        if round { (local.length() - scale.x * 0.5).max(0.0) } else { local.distance(local.max(min).min(max)) }
+    };
+    let within = targets.into_iter().map(|target| (target.id, distance(&target))).filter(|(_, distance)| *distance <= reach_m);
+    within.min_by(|a, b| a.1.total_cmp(&b.1))
+}
+
 /// The ball of diameter 1 around the origin.
 fn hit_unit_ball(ray: &Ray) -> Option<f32> {
     let (a, b) = (ray.direction.length_squared(), ray.origin.dot(ray.direction));
@@ -107,6 +122,23 @@ mod tests {
         assert_eq!(nearest(&past, [near, far]), None);
         let away = Ray { origin: Vec3::ZERO, direction: Vec3::Z };
         assert_eq!(nearest(&away, [near, far]), None);
+    }
+
+    #[test]
+    fn the_nearest_object_within_reach_is_touched() {
+        let ball = target(1, Shape::Sphere, Vec3::ZERO, Vec3::splat(2.0));
+        let cube = target(2, Shape::Cube, Vec3::new(3.0, 0.0, 0.0), Vec3::new(1.0, 4.0, 1.0));
+        let at = |point| nearest_to(point, 0.5, [ball, cube]);
+        assert_eq!(at(Vec3::X * 0.5), Some((ObjectId(1), 0.0)));
+        let (id, distance) = at(Vec3::new(0.8, 0.8, 0.0)).unwrap();
+        // Beyond the ball, though within its box.
+        assert!(id == ObjectId(1) && (distance - (0.8 * std::f32::consts::SQRT_2 - 1.0)).abs() < 1e-5);
+        let (id, distance) = at(Vec3::new(3.0, 2.3, 0.0)).unwrap();
+        assert!(id == ObjectId(2) && (distance - 0.3).abs() < 1e-5);
+        assert_eq!(at(Vec3::Y * 1.6), None);
+        // A box around nothing is nowhere.
+        let empty = Target { bounds: Bounds::EMPTY, shape: None, ..cube };
+        assert_eq!(nearest_to(Vec3::ZERO, 1.0, [empty]), None);
     }
 
     #[test]

@@ -10,7 +10,7 @@ use mr360_protocol::clock::ClientTime;
 use mr360_protocol::stages::StageTimes;
 
 use crate::decode::DecodeCounters;
-use crate::frame_loop::Drawn;
+use crate::frame_loop::{Drawn, HeadsetTimes, Presented};
 use crate::governor::Tier;
 use crate::sync::Drops;
 
@@ -19,7 +19,7 @@ const MAX_NAMES: usize = 64;
 /// Columns before those of the passes.
 const COLUMNS: &str = "frame,pts_us,arrived_us,decoded_us,light_pts_us,light_arrived_us,paired_us,uploaded_us,rendered_us,presented_us,network_us,light_age_us,video_age_us,\
 playout_delay_us,dropped_superseded,dropped_no_light,dropped_late,dropped_overflow,light_late,decode_errors,decode_backlog,decode_superseded,light_weight,\
-tier,shadow_lights,reflections_every,occlusion,samples";
+tier,shadow_lights,reflections_every,occlusion,samples,gpu_waits,pose_to_photon_us,frame_us,missed_frames";
 
 /// GPU time of one pass.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -59,6 +59,22 @@ pub struct FrameTimes {
     pub presented: ClientTime,
     /// How late pictures are played out on purpose, microseconds.
     pub playout_delay_us: u64,
+    /// What presenting it came to.
+    pub shown: Presented,
+}
+
+impl FrameTimes {
+    /// From the server's publishing the picture's light to the frame's presenting, microseconds; `None` without a light.
+    #[must_use]
+    pub fn light_age_us(&self) -> Option<u64> {
+        self.light.map(|light| self.presented.0.saturating_sub(light.published.0))
+    }
+
+    /// From the arrival of the picture's access unit to the frame's presenting, microseconds.
+    #[must_use]
+    pub fn video_age_us(&self) -> u64 {
+        self.presented.0.saturating_sub(self.arrived.0)
+    }
 }
 
 /// Times of a LightFrame.
@@ -103,6 +119,10 @@ pub struct Stats {
     /// Frames by tier.
     tiers: [u64; Tier::COUNT],
     skipped: u64,
+    unseen: u64,
+    gpu_waits: u64,
+    /// Of a headset, as last told.
+    missed: Option<u64>,
     drops: Drops,
     decode: [u64; 6],
 }
@@ -141,6 +161,11 @@ impl Stats {
         self.skipped += 1;
     }
 
+    /// Counts a picture that was due while nothing could be shown.
+    pub fn unseen(&mut self) {
+        self.unseen += 1;
+    }
+
     /// Takes in what was dropped so far.
     pub fn counted(&mut self, drops: Drops, decode: Option<&DecodeCounters>) {
         self.drops = drops;
@@ -161,6 +186,8 @@ impl Stats {
         self.frames += 1;
         self.tiers[usize::from(drawn.tier.number())] += 1;
         self.blended += u64::from(times.light_weight > 0.0);
+        self.gpu_waits += times.shown.gpu_waits;
+        self.missed = times.shown.headset.map(|headset| headset.missed).or(self.missed);
         let mut stage = |name, from: ClientTime, to: ClientTime| {
             self.stages.record(name, to.0.saturating_sub(from.0));
         };
@@ -177,6 +204,12 @@ impl Stats {
         }
         stage("view (begun → submitted)", times.begun, times.rendered);
         stage("present (submitted → presented)", times.rendered, times.presented);
+        if let Some(HeadsetTimes { pose_to_photon_us, frame_us, .. }) = times.shown.headset {
+            self.stages.record("headset frame (called for → handed over)", frame_us);
+            if let Some(pose_to_photon_us) = pose_to_photon_us {
+                self.stages.record("pose to photon", pose_to_photon_us);
+            }
+        }
         for pass in drawn.passes.iter().filter(|pass| pass.gpu_ms.is_finite() && pass.gpu_ms >= 0.0) {
             let at = self.gpu_stages.iter().position(|(name, _)| *name == pass.name).unwrap_or_else(|| {
                 self.gpu_stages.push((pass.name, format!("gpu {}", pass.name)));
@@ -219,11 +252,10 @@ impl Csv {
             self.header_written = true;
         }
         let network = times.light.map(|light| light.arrived.0.saturating_sub(light.published.0));
-        let light_age = times.light.map(|light| times.presented.0.saturating_sub(light.published.0));
         let [_, _, errors, _, backlog, superseded] = decode;
         write!(
             self.file,
-            "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{errors},{backlog},{superseded},{},{},{},{},{},{}",
+            "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{errors},{backlog},{superseded},{},{},{},{},{},{},{},{},{},{}",
             times.frame,
             times.pts_us,
             times.arrived.0,
@@ -235,8 +267,8 @@ impl Csv {
             times.rendered.0,
             times.presented.0,
             Cell(network),
-            Cell(light_age),
-            times.presented.0.saturating_sub(times.arrived.0),
+            Cell(times.light_age_us()),
+            times.video_age_us(),
             times.playout_delay_us,
             drops.superseded,
             drops.no_light,
@@ -249,6 +281,10 @@ impl Csv {
             drawn.plan.reflections_every,
             u8::from(drawn.plan.occlusion),
             drawn.plan.samples,
+            times.shown.gpu_waits,
+            Cell(times.shown.headset.and_then(|headset| headset.pose_to_photon_us)),
+            Cell(times.shown.headset.map(|headset| headset.frame_us)),
+            Cell(times.shown.headset.map(|headset| headset.missed)),
         )?;
         for column in self.passes {
             match drawn.passes.iter().find(|pass| pass.name == *column) {
@@ -304,9 +340,12 @@ impl fmt::Display for Summary {
         writeln!(
             f,
             "pictures not shown: {superseded} superseded, {no_light} without light, {late} late, {duplicate} duplicate, {overflow} overflow; \
-             display skipped {}; lights: {light_late} late, {light_unused} unused",
-            stats.skipped
+             display skipped {}, {} passed while nothing could be shown; lights: {light_late} late, {light_unused} unused",
+            stats.skipped, stats.unseen
         )?;
+        if let Some(missed) = stats.missed {
+            writeln!(f, "headset: {missed} display frames missed; {} waits for the GPU within frames", stats.gpu_waits)?;
+        }
         let [units, pictures, errors, unanchored, backlog, superseded] = stats.decode;
         writeln!(
             f,
@@ -326,6 +365,8 @@ mod tests {
 
     fn times(frame: u64) -> FrameTimes {
         let at = |us| ClientTime(frame * 33_000 + us);
+        // The first is not a headset's; of the second the runtime's clock cannot be read.
+        let headset = [None, Some(None), Some(Some(21_000))][frame.min(2) as usize];
         FrameTimes {
             frame,
             pts_us: frame * 33_000,
@@ -340,6 +381,10 @@ mod tests {
             rendered: at(27_000),
             presented: at(30_000),
             playout_delay_us: 20_000,
+            shown: Presented {
+                gpu_waits: frame,
+                headset: headset.map(|pose_to_photon_us| HeadsetTimes { pose_to_photon_us, frame_us: 9_000, missed: 3 }),
+            },
         }
     }
 
@@ -362,17 +407,22 @@ mod tests {
         let lines: Vec<_> = text.lines().collect();
         assert_eq!(lines.len(), 4);
         assert!(lines[0].ends_with(
-            "decode_backlog,decode_superseded,light_weight,tier,shadow_lights,reflections_every,occlusion,samples,gpu_shadow_ms,gpu_view_ms"
+            "decode_backlog,decode_superseded,light_weight,tier,shadow_lights,reflections_every,occlusion,samples,gpu_waits,pose_to_photon_us,frame_us,missed_frames,gpu_shadow_ms,gpu_view_ms"
         ));
         assert!(lines.iter().all(|line| line.split(',').count() == lines[0].split(',').count()));
-        assert_eq!(lines[1], "0,0,0,4000,0,6000,24000,25000,27000,30000,1000,25000,30000,20000,0,0,0,0,0,0,0,0,0,0,2,4,0,1,1.500,2.250");
-        assert!(lines[2].starts_with("1,33000,33000,37000,,,57000,"));
-        assert!(lines[3].ends_with(",0.25,2,2,4,0,1,,2.250"));
+        assert_eq!(
+            lines[1],
+            "0,0,0,4000,0,6000,24000,25000,27000,30000,1000,25000,30000,20000,0,0,0,0,0,0,0,0,0,0,2,4,0,1,0,,,,1.500,2.250"
+        );
+        assert!(lines[2].starts_with("1,33000,33000,37000,,,57000,") && lines[2].ends_with(",1,,9000,3,1.500,2.250"));
+        assert!(lines[3].ends_with(",0.25,2,2,4,0,1,2,21000,9000,3,,2.250"));
         let printed = summary.to_string();
         assert!(
             printed.contains("frames by tier: 0: 1, 1: 1, 2: 1")
                 && printed.contains("1 frames under light between")
                 && printed.contains("7 without light")
+                && printed.contains("pose to photon")
+                && printed.contains("3 display frames missed; 3 waits for the GPU")
                 && printed.contains("track video: 2 frames, 1500 bytes"),
             "{printed}"
         );

@@ -8,6 +8,7 @@ mod blend;
 mod clock;
 mod delay;
 mod lights;
+mod motion;
 #[cfg(test)]
 mod tests;
 
@@ -20,6 +21,7 @@ pub use self::blend::LightBlend;
 pub use self::clock::ClientClock;
 pub use self::delay::{MAX_DELAY_US, MIN_DELAY_US};
 pub use self::lights::MAX_LIGHTS;
+pub use self::motion::Motions;
 
 use self::baseline::Baseline;
 use self::delay::PlayoutDelay;

@@ -43,7 +43,7 @@ impl Renderer {
             });
             pass.set_bind_group(0, &self.resources.caster_instances, &[]);
             pass.set_bind_group(1, &self.resources.caster_views, &[at as u32 * VIEW_STRIDE]);
-            for draw in &self.stage.draws {
+            for draw in self.stage.draws.iter().filter(|draw| draw.casts) {
                 if let Some(Ok(model)) = self.models.get(&draw.geometry)
                     && let Some(part) = model.parts.get(draw.part)
                 {

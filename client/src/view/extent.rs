@@ -16,8 +16,8 @@ pub(super) struct Part {
     pub(super) size: (u32, u32),
 }
 
-/// Where casters, the place and changed ground appear in an image of this size; `None` where nothing of them is in view.
-pub(super) fn touched(camera: &Camera, size: (u32, u32), stage: &Stage, ground: Option<Bounds>) -> Option<Part> {
+/// Where casters and changed ground and place appear in an image of this size; `None` where nothing of them is in view.
+pub(super) fn touched(camera: &Camera, size: (u32, u32), stage: &Stage, (ground, place): (Option<Bounds>, &[Bounds])) -> Option<Part> {
     let (width, height) = (size.0.max(1) as f32, size.1.max(1) as f32);
     let clip_from_world = camera.clip_from_view(width / height) * camera.view_from_world();
     let ground = ground.map(|bounds| Bounds {
@@ -25,7 +25,7 @@ pub(super) fn touched(camera: &Camera, size: (u32, u32), stage: &Stage, ground: 
         max: Vec3::new(bounds.max.x, stage.ground_y, bounds.max.z),
     });
     let (mut low, mut high) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2]);
-    for bounds in stage.casters.iter().chain(&stage.place.bounds).copied().chain(ground) {
+    for bounds in stage.casters.iter().chain(&stage.apart).chain(place).copied().chain(ground) {
         let Some(seen) = box_in_ndc(&clip_from_world, &bounds) else { continue };
         for axis in 0..2 {
             low[axis] = low[axis].min(seen.min[axis]);
@@ -78,20 +78,20 @@ mod tests {
         let camera = Camera::looking(0.0, 0.0, 1.0);
         // A metre across, 10.5 m away at the near side: 360 / (2 · tan 0.5 · 9.5) = 34.7 pixels across.
         let ahead = stage(Vec3::new(-0.5, -0.5, -10.5), Vec3::new(0.5, 0.5, -9.5));
-        let part = touched(&camera, (640, 360), &ahead, None).unwrap();
+        let part = touched(&camera, (640, 360), &ahead, (None, &[])).unwrap();
         assert_eq!(part, Part { origin: (288, 160), size: (64, 48) });
         let behind = stage(Vec3::new(-0.5, -0.5, 9.5), Vec3::new(0.5, 0.5, 10.5));
-        assert_eq!(touched(&camera, (640, 360), &behind, None), None);
+        assert_eq!(touched(&camera, (640, 360), &behind, (None, &[])), None);
         let around = stage(Vec3::splat(-1.0), Vec3::splat(1.0));
-        assert_eq!(touched(&camera, (640, 360), &around, None), Some(Part { origin: (0, 0), size: (640, 360) }));
-        assert_eq!(touched(&camera, (640, 360), &Stage::default(), None), None);
+        assert_eq!(touched(&camera, (640, 360), &around, (None, &[])), Some(Part { origin: (0, 0), size: (640, 360) }));
+        assert_eq!(touched(&camera, (640, 360), &Stage::default(), (None, &[])), None);
     }
 
     #[test]
     fn ground_counts_at_its_own_height() {
         let camera = Camera::looking(0.0, 0.0, 1.0);
         let ground = Bounds { min: Vec3::new(-1.0, -99.0, -4.0), max: Vec3::new(1.0, 99.0, -3.0) };
-        let part = touched(&camera, (640, 360), &Stage { ground_y: -1.0, ..Stage::default() }, Some(ground)).unwrap();
+        let part = touched(&camera, (640, 360), &Stage { ground_y: -1.0, ..Stage::default() }, (Some(ground), &[])).unwrap();
         // Beneath the middle row, down to 180 + 180 / (3 · tan 0.5) = 290.
         assert!(part.origin.1 > 180 && part.origin.1 + part.size.1 <= 304, "{part:?}");
     }

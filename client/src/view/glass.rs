@@ -22,7 +22,11 @@ impl Renderer {
         report: &mut FrameReport,
     ) {
         self.draw_far_sides(encoder, kind, (at, view, part), report);
-        self.draw_near_sides(gpu, encoder, environment, kind, (at, view, part), report);
+        let Self { layers, resources, layouts, .. } = self;
+        if let Some(glass) = layers.get_mut(at).and_then(|(_, layer)| layer.glass.as_mut()) {
+            resources.keep_glass_group(gpu, layouts, glass);
+        }
+        self.draw_near_sides(encoder, environment, kind, (at, view, part), report);
     }
 
     fn draw_far_sides(
@@ -62,7 +66,6 @@ impl Renderer {
 
     fn draw_near_sides(
         &mut self,
-        gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
         environment: &Environment,
         kind: Kind,
@@ -70,9 +73,11 @@ impl Renderer {
         report: &mut FrameReport,
     ) {
         let Some((_, layer)) = self.layers.get(at) else { return };
-        let (Some(glass), Some(samples)) = (&layer.glass, &layer.samples) else { return };
-        let group = self.resources.glass_group(gpu, &self.layouts, glass);
-        let kept = wgpu::Operations { load: wgpu::LoadOp::Load, store: wgpu::StoreOp::Discard };
+        let (Some((_, group)), Some(samples)) = (layer.glass.as_ref().and_then(|glass| glass.group.as_ref()), &layer.samples) else {
+            return;
+        };
+        let store = if self.keeps_depth { wgpu::StoreOp::Store } else { wgpu::StoreOp::Discard };
+        let kept = wgpu::Operations { load: wgpu::LoadOp::Load, store };
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some(GLASS[at]),
             color_attachments: &[Some(wgpu::RenderPassColorAttachment {
@@ -90,7 +95,7 @@ impl Renderer {
             ..wgpu::RenderPassDescriptor::default()
         });
         look_into(&mut pass, view, part);
-        pass.set_bind_group(0, &group, &[at as u32 * VIEW_STRIDE]);
+        pass.set_bind_group(0, group, &[at as u32 * VIEW_STRIDE]);
         pass.set_bind_group(1, environment.bind_group(), &[]);
         pass.set_bind_group(2, environment.reflection_bind_group(), &[]);
         for draw in self.stage.draws.iter().filter(|draw| is_glass(draw)) {

@@ -5,6 +5,7 @@ use mr360_shaders::source::Alpha;
 use super::extent::Part;
 use super::glass::is_glass;
 use super::pipelines::{Kind, Use};
+use super::plan::Plan;
 use super::resources::{Layer, VIEW_STRIDE};
 use super::room::Room;
 use super::{COMPOSITE, FrameReport, OBJECTS, Renderer, View, depth_attachment, draw_part, look_into, object_use, stage};
@@ -13,8 +14,9 @@ use crate::gpu::Gpu;
 
 impl Renderer {
     /// The layer's targets, kept while they hold the part and are not far too large for it.
-    pub(super) fn make_layer(&mut self, gpu: &Gpu, at: usize, (part, image): (Part, (u32, u32)), glass: bool) {
-        let make = |room: &Room| Layer::new(&gpu.device, &self.layouts.layer, room.size(), self.samples, glass);
+    pub(super) fn make_layer(&mut self, gpu: &Gpu, at: usize, (part, image): (Part, (u32, u32)), plan: Plan) {
+        let (glass, mirror) = (plan.glass, plan.ground_mirrors);
+        let make = |room: &Room| Layer::new(&gpu.device, &self.layouts, room.size(), self.samples, (glass, mirror));
         // Views before this one may have had nothing to draw.
         while self.layers.len() <= at {
             let mut room = Room::default();
@@ -22,7 +24,7 @@ impl Renderer {
             self.layers.push((room, make(&room)));
         }
         if let Some((room, layer)) = self.layers.get_mut(at)
-            && (room.make(part.size, image) || layer.glass.is_some() != glass)
+            && (room.make(part.size, image) || layer.glass.is_some() != glass || layer.mirror.is_some() != mirror)
         {
             *layer = make(room);
         }
@@ -39,12 +41,13 @@ impl Renderer {
     ) {
         let Some((_, layer)) = self.layers.get(at) else { return };
         // Glass goes over the samples of what was drawn, and sees them resolved.
-        let (resolved, depth_store) = match &layer.glass {
+        let (resolved, samples_store) = match &layer.glass {
             Some(glass) => (&glass.drawn, wgpu::StoreOp::Store),
             None => (&layer.resolved, wgpu::StoreOp::Discard),
         };
+        let depth_store = if self.keeps_depth { wgpu::StoreOp::Store } else { samples_store };
         let (target, resolve_target, store) = match &layer.samples {
-            Some(samples) => (samples, Some(resolved), depth_store),
+            Some(samples) => (samples, Some(resolved), samples_store),
             None => (resolved, None, wgpu::StoreOp::Store),
         };
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
@@ -63,13 +66,20 @@ impl Renderer {
         pass.set_bind_group(0, &self.resources.frame, &[at as u32 * VIEW_STRIDE]);
         pass.set_bind_group(1, environment.bind_group(), &[]);
         pass.set_bind_group(2, environment.reflection_bind_group(), &[]);
-        for draw in self.stage.draws.iter().filter(|draw| draw.look.alpha != Alpha::Blend && !is_glass(draw)) {
-            report.draws += self.draw_object(&mut pass, kind, draw);
+        // The place may be drawn without any.
+        let objects = report.plan.objects;
+        if objects {
+            for draw in self.stage.draws.iter().filter(|draw| draw.look.alpha != Alpha::Blend && !is_glass(draw)) {
+                report.draws += self.draw_object(&mut pass, kind, draw);
+            }
+            report.triangles += self.stage.triangles;
         }
-        report.triangles += self.stage.triangles;
         self.draw_place(&mut pass, kind, report);
         // After the objects, so that ground they cover is not shaded. From beneath there is no ground to see.
-        let changed = (ground, Use::Ground);
+        let changed = (ground && objects, Use::Ground { glossy: layer.mirror.is_some() });
+        if let Some(mirror) = &layer.mirror {
+            pass.set_bind_group(3, &mirror.group, &[]);
+        }
         let hiding = (report.plan.ground_hides && view.camera.position.y > self.stage.ground_y, Use::Horizon);
         for (_, what) in [changed, hiding].into_iter().filter(|(drawn, _)| *drawn) {
             if let Some(pipeline) = self.pipelines.get(kind, what) {
@@ -79,7 +89,7 @@ impl Renderer {
             }
         }
         // Over all that covers, ground too, which writes what is changed and not what is added to it.
-        for draw in self.stage.blended(view.camera.position).0 {
+        for draw in self.stage.blended(view.camera.position).0.into_iter().filter(|_| objects) {
             report.draws += self.draw_object(&mut pass, kind, draw);
         }
     }

@@ -1,11 +1,18 @@
 //! Display rate: shadows, objects and ground, composite. A frame is recorded in one place, [`Renderer::render`].
 //!
 //! Objects and changed ground are drawn into a multisampled layer of premultiplied linear radiance; the composite
-//! puts it over the video, which is sampled once a pixel. Where nothing was drawn the layer is exactly 0, so these
+//! puts it over the video. Where nothing was drawn the layer is exactly 0, so these
 //! pixels have the same bits as with no object in the scene: the layer's samples are cleared to 0, and resolving
 //! averages zeros.
 
+mod background;
+#[cfg(test)]
+mod background_tests;
 mod casting;
+mod catchers;
+mod depth;
+#[cfg(test)]
+mod depth_tests;
 #[cfg(test)]
 mod energy_tests;
 mod extent;
@@ -13,10 +20,20 @@ mod glass;
 #[cfg(test)]
 mod glass_tests;
 mod layering;
+mod local;
 mod material;
 #[cfg(test)]
 mod material_tests;
+mod mirror;
+#[cfg(test)]
+mod mirror_tests;
 mod models;
+mod moving;
+#[cfg(test)]
+mod moving_tests;
+pub mod parallax;
+#[cfg(test)]
+mod parallax_tests;
 mod pipelines;
 mod place;
 #[cfg(test)]
@@ -27,6 +44,7 @@ mod poses;
 mod probe_tests;
 #[cfg(test)]
 mod rate_tests;
+mod recipe;
 #[cfg(test)]
 mod reflection_tests;
 mod resources;
@@ -50,18 +68,25 @@ use crate::camera::Camera;
 use crate::environment::{Environment, FrameLight};
 use crate::governor::Tier;
 use crate::gpu::{Gpu, GpuError};
+use crate::scene::mesh::Bounds;
 use crate::scene::model::LoadedModel;
-use crate::scene::pick::{Ray, nearest};
+use crate::scene::pick::{Ray, Target, nearest, nearest_to};
 use crate::stats::PassTime;
 
+pub use local::{MAX_LOCAL, local_id};
+pub use parallax::Parallax;
+pub use pipelines::DEPTH_FORMAT;
 pub use plan::Plan;
 pub use stage::{Element, ModelFault, SceneWarning};
 
+use background::{Background, pixel_rad, rays};
+use depth::DepthPass;
 use extent::{Part, touched};
 use glass::is_glass;
+use mirror::mirrored_use;
 use models::Models;
 use pipelines::{Kind, Layouts, Pipelines, Use};
-use plan::SceneNeeds;
+use plan::{Casting, SceneNeeds};
 use resources::{Layer, Resources};
 use room::Room;
 use shadows::Frustum;
@@ -69,7 +94,7 @@ use stage::Stage;
 use timing::PassTimer;
 
 /// Passes that a frame may have.
-pub const PASSES: [&str; 22] = [
+pub const PASSES: [&str; 26] = [
     "deform",
     SHADOWS[0],
     SHADOWS[1],
@@ -80,15 +105,19 @@ pub const PASSES: [&str; 22] = [
     PLACE_SHADOWS[2],
     PLACE_SHADOWS[3],
     "reflections",
+    MIRROR[0],
     OBJECTS[0],
     GLASS[0],
     COMPOSITE[0],
+    MIRROR[1],
     OBJECTS[1],
     GLASS[1],
     COMPOSITE[1],
+    MIRROR[2],
     OBJECTS[2],
     GLASS[2],
     COMPOSITE[2],
+    MIRROR[3],
     OBJECTS[3],
     GLASS[3],
     COMPOSITE[3],
@@ -97,6 +126,8 @@ pub const PASSES: [&str; 22] = [
 const SHADOWS: [&str; plan::MAX_SHADOWS] = ["shadow 1", "shadow 2", "shadow 3", "shadow 4"];
 /// Of each light.
 const PLACE_SHADOWS: [&str; plan::MAX_SHADOWS] = ["place shadow 1", "place shadow 2", "place shadow 3", "place shadow 4"];
+/// Of each view.
+const MIRROR: [&str; MAX_VIEWS] = ["mirror", "mirror view 2", "mirror view 3", "mirror view 4"];
 /// Of each view.
 const OBJECTS: [&str; MAX_VIEWS] = ["objects", "objects view 2", "objects view 3", "objects view 4"];
 /// Of each view.
@@ -144,12 +175,19 @@ pub struct Renderer {
     light_changed: bool,
     /// In force: the picture's, or on its way to that of the next one.
     current: FrameLight,
+    casting: Casting,
     visible: bool,
     reflections: Reflections,
+    parallax: Parallax,
     /// Of the picture: when its animations are.
     time_us: u64,
     /// By view.
     layers: Vec<(Room, Layer)>,
+    /// By view, whether anything was drawn in the last frame.
+    drawn: Vec<bool>,
+    keeps_depth: bool,
+    /// Made when first asked for.
+    depth: Option<DepthPass>,
     tier: Tier,
     /// Samples a pixel of the layers.
     samples: u32,
@@ -184,10 +222,15 @@ impl Renderer {
             light: FrameLight::default(),
             light_changed: true,
             current: FrameLight::default(),
+            casting: Casting::default(),
             visible: true,
             reflections: Reflections::default(),
+            parallax: Parallax::default(),
             time_us: 0,
             layers: Vec::new(),
+            drawn: Vec::new(),
+            keeps_depth: false,
+            depth: None,
             tier: Tier::FULL,
             samples: 0,
             unreflected: u32::MAX,
@@ -227,6 +270,11 @@ impl Renderer {
         self.unreflected = u32::MAX;
     }
 
+    /// Shows the background of a source with one view at this distance from the next frame on.
+    pub fn set_parallax(&mut self, parallax: Parallax) {
+        self.parallax = parallax;
+    }
+
     /// Shows animated models in their pose of this time from the next frame on: the pts of the environment's picture. They move
     /// at the video's rate, as if the camera had filmed them, and every viewer sees the same pose with the same picture.
     pub fn set_time(&mut self, pts_us: u64) {
@@ -238,12 +286,14 @@ impl Renderer {
         self.light = FrameLight::from(light);
         self.light_changed = true;
         self.current = self.light.clone();
+        self.casting.order(&mut self.current.lights);
     }
 
     /// Lights objects by this until the next light is set: one between that of the picture and the next one's. Reflections show the
     /// picture, and stay as they are.
     pub fn relight(&mut self, light: &LightFrame) {
         self.current = FrameLight { lift: self.light.lift, ..FrameLight::from(light) };
+        self.casting.order(&mut self.current.lights);
     }
 
     /// The light in force.
@@ -267,13 +317,25 @@ impl Renderer {
     #[must_use]
     pub fn plan(&self, tier: Tier) -> Plan {
         let needs = if self.visible { self.stage.needs } else { SceneNeeds::default() };
-        Plan::new(needs, &self.current).within(tier)
+        Plan::new(needs, &self.current, &self.casting).within(tier)
     }
 
     /// The nearest object along a ray and where it is met.
     #[must_use]
     pub fn pick(&self, ray: &Ray) -> Option<(ObjectId, Vec3)> {
         nearest(ray, self.stage.targets.iter().copied().filter(|_| self.visible))
+    }
+
+    /// The object nearest to a point, within `reach_m` of it.
+    #[must_use]
+    pub fn near(&self, point: Vec3, reach_m: f32) -> Option<ObjectId> {
+        Some(nearest_to(point, reach_m, self.stage.targets.iter().copied().filter(|_| self.visible))?.0)
+    }
+
+    /// An object as it is drawn: its place, and its bounds in its own frame.
+    #[must_use]
+    pub fn target(&self, id: ObjectId) -> Option<&Target> {
+        self.stage.targets.iter().find(|target| target.id == id)
     }
 
     /// Records one frame: shadow maps and reflections once, then each view. At most [`MAX_VIEWS`] are drawn.
@@ -287,6 +349,7 @@ impl Renderer {
         self.timer.collect(gpu);
         let views = views.get(..MAX_VIEWS).unwrap_or(views);
         let plan = self.plan(self.tier);
+        self.casting.keep(self.current.lights.get(..plan.shadows).unwrap_or_default());
         if std::mem::take(&mut self.light_changed) {
             environment.set_light(gpu, &self.light);
             self.unreflected = self.unreflected.saturating_add(1);
@@ -300,42 +363,78 @@ impl Renderer {
         }
         let frusta: Vec<Frustum> =
             self.current.lights.iter().take(plan.shadows).map(|light| self.resources.frustum(light, &self.stage)).collect();
-        let place = self.place_frusta(frusta.len());
-        self.resources.write_frame(gpu, &self.stage, (&self.current, &self.reflected), (&frusta, &place), plan.occlusion);
+        let place_frusta = self.place_frusta(frusta.len());
+        let eyes: Vec<Vec3> = views.iter().filter(|_| plan.ground_mirrors).map(|view| view.camera.position).collect();
+        let ground = self.stage.changed_ground(&self.current, frusta.len(), &eyes);
+        let changed_place = self.stage.changed_place(&self.current, frusta.len(), plan.place_mirrors);
+        let lights = (&self.current, &self.reflected);
+        self.resources.write_frame(gpu, &self.stage, lights, (&frusta, &place_frusta), (plan.occlusion, ground));
         let mut report = FrameReport { plan, ..FrameReport::default() };
         self.pose(gpu, encoder, plan, views);
+        let dome_m = self.parallax.dome_m(environment.is_stereo(), views.iter().map(|view| view.camera.position));
+        let place = !self.stage.place.draws.is_empty();
+        // Then the place is drawn whether or not there are objects, and in the same way.
+        let place_shows = dome_m.is_some() && place;
+        let samples = if place_shows { Tier::FULL.limits().samples } else { plan.samples };
         let kind = Kind {
             video: environment.kind(),
             sh_count: self.current.sh_count,
-            samples: plan.samples,
+            samples,
             reflections: self.reflections,
-            place: !self.stage.place.draws.is_empty(),
+            place,
+            parallax: dome_m.is_some(),
+            magnified: environment.is_coded() && views.iter().any(|view| environment.texels(pixel_rad(view)) < 1.0),
         };
         self.prepare(gpu, kind, plan);
         self.draw_shadows(encoder, &frusta, &mut report);
-        self.draw_place_shadows(encoder, place, &mut report);
-        if plan.objects && self.samples != plan.samples {
-            self.samples = plan.samples;
+        self.draw_place_shadows(encoder, place_frusta, &mut report);
+        if (plan.objects || place_shows) && self.samples != samples {
+            self.samples = samples;
             self.layers.clear();
         }
-        let ground = self.stage.changed_ground(&self.current, frusta.len());
+        self.drawn.clear();
         for (at, view) in views.iter().enumerate() {
-            // From beneath there is no ground to see.
-            let ground = ground.filter(|_| view.camera.position.y > self.stage.ground_y);
-            let part = if plan.objects { touched(&view.camera, view.size, &self.stage, ground) } else { None };
-            self.resources.write_view(gpu, at, view, part.unwrap_or_default());
-            if let Some(part) = part {
-                self.make_layer(gpu, at, (part, view.size), plan.glass);
-                self.draw_layer(encoder, environment, kind, (at, view, part), ground.is_some(), &mut report);
-                if plan.glass {
-                    self.draw_glass(gpu, encoder, environment, kind, (at, view, part), &mut report);
-                }
-            }
-            self.composite(encoder, environment, kind, (at, view), part.is_some(), &mut report);
+            self.draw_view(gpu, (&mut *encoder, &*environment), kind, (at, view, dome_m), (ground, &changed_place), &mut report);
         }
         self.timer.finish(encoder);
         report.passes = self.timer.latest().to_vec();
         report
+    }
+
+    /// Layers and composite of one view. `ground` and `changed_place` are what of ground and place objects can change.
+    fn draw_view(
+        &mut self,
+        gpu: &Gpu,
+        (encoder, environment): (&mut wgpu::CommandEncoder, &Environment),
+        kind: Kind,
+        (at, view, dome_m): (usize, &View<'_>, Option<f32>),
+        (ground, changed_place): (Option<Bounds>, &[Bounds]),
+        report: &mut FrameReport,
+    ) {
+        let plan = report.plan;
+        // From beneath there is no ground to see.
+        let ground = ground.filter(|_| view.camera.position.y > self.stage.ground_y);
+        let part = match kind.place && kind.parallax {
+            // All of it, so that pixels lie in it as they do without objects.
+            true => Some(Part { origin: (0, 0), size: view.size }),
+            false if plan.objects => touched(&view.camera, view.size, &self.stage, (ground, changed_place)),
+            false => None,
+        };
+        let background = Background { dome_m: dome_m.unwrap_or_default(), rays: rays(environment.texels(pixel_rad(view))) };
+        self.resources.write_view(gpu, at, (view, background), part.unwrap_or_default());
+        self.drawn.push(part.is_some());
+        if let Some(part) = part {
+            self.make_layer(gpu, at, (part, view.size), plan);
+            if plan.ground_mirrors && ground.is_some() {
+                self.resources.write_mirrored_view(gpu, at, view, part, self.stage.ground_y);
+                self.draw_mirror(encoder, environment, kind, (at, view, part), report);
+            }
+            self.draw_layer(encoder, environment, kind, (at, view, part), ground.is_some(), report);
+            if plan.glass {
+                self.draw_glass(gpu, encoder, environment, kind, (at, view, part), report);
+            }
+        }
+        self.composite(encoder, environment, kind, (at, view), part.is_some(), report);
     }
 
     /// Makes what pipelines this frame needs and earlier ones did not.
@@ -346,12 +445,15 @@ impl Renderer {
         let objects = self.stage.draws.iter().map(object_use);
         let others = [
             (Use::Composite, true),
-            (Use::Ground, plan.objects),
+            (Use::Ground { glossy: plan.ground_mirrors }, plan.objects),
+            (Use::MirrorMip, plan.ground_mirrors),
+            (Use::PlaceMirrored, plan.ground_mirrors && kind.place),
             (Use::Horizon, plan.ground_hides),
             (Use::GlassBack, plan.glass),
-            (Use::Place, plan.objects && kind.place),
+            (Use::Place { glossy: plan.place_mirrors }, (plan.objects || kind.parallax) && kind.place),
         ];
-        for what in objects.chain(others.into_iter().filter_map(|(what, needed)| needed.then_some(what))) {
+        let mirrored = self.stage.draws.iter().filter(|draw| plan.ground_mirrors && !is_glass(draw)).map(mirrored_use);
+        for what in objects.chain(mirrored).chain(others.into_iter().filter_map(|(what, needed)| needed.then_some(what))) {
             self.pipelines.prepare(gpu, &self.layouts, kind, what);
         }
     }
@@ -383,23 +485,4 @@ fn draw_part(pass: &mut wgpu::RenderPass<'_>, model: &models::GpuModel, part: &m
     }
     pass.set_index_buffer(part.indices.slice(..), wgpu::IndexFormat::Uint32);
     pass.draw_indexed(0..part.index_count, 0, draw.instances.clone());
-}
-
-/// The view's uniform.
-fn view_uniform(view: &View<'_>, layer: Part) -> layout::View {
-    let (width, height) = (view.size.0.max(1) as f32, view.size.1.max(1) as f32);
-    let aspect = width / height;
-    let camera = &view.camera;
-    let tan = (camera.fov_y_rad * 0.5).tan();
-    let axes = [Vec3::X * (tan * aspect), Vec3::Y * tan, Vec3::NEG_Z].map(|axis| (camera.world_from_view * axis).extend(0.0).to_array());
-    layout::View {
-        clip_from_world: (camera.clip_from_view(aspect) * camera.view_from_world()).to_cols_array_2d(),
-        world_from_ndc: axes,
-        position: camera.position.to_array(),
-        eye: u32::from(camera.right_eye),
-        size_px: [width, height],
-        layer_origin: [layer.origin.0 as f32, layer.origin.1 as f32],
-        layer_size: [layer.size.0 as f32, layer.size.1 as f32],
-        padding: [0.0; 2],
-    }
 }

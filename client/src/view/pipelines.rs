@@ -2,11 +2,10 @@
 
 use std::collections::HashMap;
 
-use mr360_shaders::layout::{Detail, Vertex};
 use mr360_shaders::source::{Alpha, Module, Reflections, Surface};
 
 use super::material::{Look, layout_entries};
-
+use super::recipe::{Recipe, build, caster_depth, nearer};
 use crate::environment::reflection::reflection_layout;
 use crate::environment::{VideoKind, sampler_entry, texture_entry, video_layout};
 use crate::gpu::{Gpu, GpuError};
@@ -14,7 +13,9 @@ use crate::gpu::{Gpu, GpuError};
 /// Linear radiance, premultiplied by coverage.
 pub(super) const LAYER_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
 /// Reversed: 1 near, 0 at infinity.
-pub(super) const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
+pub const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
+/// What the ground mirrors: radiance, premultiplied by coverage; and coverage over the way to it, per metre.
+pub(super) const MIRROR_FORMATS: [wgpu::TextureFormat; 2] = [wgpu::TextureFormat::Rgba16Float, wgpu::TextureFormat::R16Float];
 /// Back faces of glass: outward normal, and metres from the eye.
 pub(super) const BACK_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba32Float;
 
@@ -29,6 +30,8 @@ pub(super) struct Layouts {
     pub(super) caster: wgpu::BindGroupLayout,
     /// Group 2 of the composite.
     pub(super) layer: wgpu::BindGroupLayout,
+    /// Group 3 of glossy ground: what it mirrors.
+    pub(super) mirror: wgpu::BindGroupLayout,
     /// Group 3 of objects.
     pub(super) material: wgpu::BindGroupLayout,
 }
@@ -44,7 +47,8 @@ pub(super) struct Pipelines {
     cutouts: HashMap<Look, wgpu::RenderPipeline>,
     object: wgpu::ShaderModule,
     glass: wgpu::ShaderModule,
-    ground: wgpu::ShaderModule,
+    pub(super) ground: wgpu::ShaderModule,
+    pub(super) mirror_mip: wgpu::ShaderModule,
     composite: wgpu::ShaderModule,
     target: wgpu::TextureFormat,
     made: HashMap<(Kind, Use), wgpu::RenderPipeline>,
@@ -61,6 +65,10 @@ pub(super) struct Kind {
     pub(super) reflections: Reflections,
     /// The scene has meshes of the place.
     pub(super) place: bool,
+    /// The background has a distance.
+    pub(super) parallax: bool,
+    /// Pixels are finer than the texels of a coded picture.
+    pub(super) magnified: bool,
 }
 
 /// What a pipeline draws.
@@ -77,8 +85,22 @@ pub(super) enum Use {
     },
     /// The far sides of glass.
     GlassBack,
-    Ground,
-    Place,
+    /// An object as the ground mirrors it.
+    Mirrored {
+        surface: Surface,
+        look: Look,
+        double_sided: bool,
+    },
+    /// A level of what the ground mirrors to the next.
+    MirrorMip,
+    Ground {
+        glossy: bool,
+    },
+    Place {
+        glossy: bool,
+    },
+    /// The place as the ground mirrors it: hides what is behind it.
+    PlaceMirrored,
     Horizon,
     Composite,
 }
@@ -142,92 +164,15 @@ impl Layouts {
             casters: make("casters", &[instances]),
             caster: make("caster", &[buffer_entry(0, uniform, true)]),
             layer: make("layer", &[unfiltered]),
+            mirror: make("mirror", &[texture_entry(0), texture_entry(1), sampler_entry(2)]),
             material: make("material", &layout_entries()),
         }
     }
 }
 
-/// What differs between the pipelines.
-#[derive(Clone)]
-struct Recipe<'a> {
-    label: &'a str,
-    vertex: &'a str,
-    /// Entry point, and what it colours, if anything.
-    fragment: Option<(&'a str, Option<wgpu::TextureFormat>)>,
-    layouts: &'a [Option<&'a wgpu::BindGroupLayout>],
-    mesh: bool,
-    /// The mesh has a second vertex buffer.
-    detailed: bool,
-    blend: bool,
-    cull: Option<wgpu::Face>,
-    depth: Option<wgpu::DepthStencilState>,
-    samples: u32,
-    /// Of the fragment shader.
-    constants: &'a [(&'a str, f64)],
-}
-
-fn build(gpu: &Gpu, module: &wgpu::ShaderModule, recipe: &Recipe<'_>) -> wgpu::RenderPipeline {
-    let layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-        label: Some(recipe.label),
-        bind_group_layouts: recipe.layouts,
-        immediate_size: 0,
-    });
-    let attributes = wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x3, 2 => Float32x2];
-    let details = wgpu::vertex_attr_array![3 => Float32x4, 4 => Float32x2, 5 => Unorm16x4];
-    let buffer = |size: usize, attributes| {
-        Some(wgpu::VertexBufferLayout { array_stride: size as u64, step_mode: wgpu::VertexStepMode::Vertex, attributes })
-    };
-    let mesh = [buffer(size_of::<Vertex>(), &attributes), buffer(size_of::<Detail>(), &details)];
-    let buffers = match (recipe.mesh, recipe.detailed) {
-        (false, _) => &mesh[..0],
-        (true, false) => &mesh[..1],
-        (true, true) => &mesh[..],
-    };
-    let blend = recipe.blend.then_some(wgpu::BlendState::PREMULTIPLIED_ALPHA_BLENDING);
-    let target = |format: Option<wgpu::TextureFormat>| Some(wgpu::ColorTargetState { blend, ..format?.into() });
-    let targets: Vec<_> = recipe.fragment.iter().filter(|(_, format)| format.is_some()).map(|(_, format)| target(*format)).collect();
-    let strip = !recipe.mesh && recipe.vertex != "vs_fullscreen";
-    let topology = if strip { wgpu::PrimitiveTopology::TriangleStrip } else { wgpu::PrimitiveTopology::TriangleList };
-    gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-        label: Some(recipe.label),
-        layout: Some(&layout),
-        vertex: wgpu::VertexState {
-            module,
-            entry_point: Some(recipe.vertex),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
-            buffers,
-        },
-        primitive: wgpu::PrimitiveState { topology, cull_mode: recipe.cull, ..wgpu::PrimitiveState::default() },
-        depth_stencil: recipe.depth.clone(),
-        multisample: wgpu::MultisampleState { count: recipe.samples, ..wgpu::MultisampleState::default() },
-        fragment: recipe.fragment.map(|(entry, _)| wgpu::FragmentState {
-            module,
-            entry_point: Some(entry),
-            compilation_options: wgpu::PipelineCompilationOptions { constants: recipe.constants, ..Default::default() },
-            targets: &targets,
-        }),
-        multiview_mask: None,
-        cache: None,
-    })
-}
-
-fn depth(compare: wgpu::CompareFunction, bias: wgpu::DepthBiasState) -> wgpu::DepthStencilState {
-    wgpu::DepthStencilState {
-        format: DEPTH_FORMAT,
-        depth_write_enabled: Some(true),
-        depth_compare: Some(compare),
-        stencil: wgpu::StencilState::default(),
-        bias,
-    }
-}
-
 /// The composite does not draw to what has samples.
 fn key(kind: Kind, what: Use) -> (Kind, Use) {
-    (if what == Use::Composite { Kind { samples: 1, ..kind } } else { kind }, what)
-}
-
-fn caster_depth() -> wgpu::DepthStencilState {
-    depth(wgpu::CompareFunction::Less, wgpu::DepthBiasState::default())
+    (if matches!(what, Use::Composite | Use::MirrorMip) { Kind { samples: 1, ..kind } } else { kind }, what)
 }
 
 fn object_vertex(look: Look) -> &'static str {
@@ -243,6 +188,10 @@ fn object_entry(look: Look) -> &'static str {
     }
 }
 
+fn mirrored_entry(look: Look) -> &'static str {
+    if look.detailed { "fs_object_detailed_mirrored" } else { "fs_object_mirrored" }
+}
+
 impl Pipelines {
     pub(super) fn new(gpu: &Gpu, layouts: &Layouts, target: wgpu::TextureFormat) -> Result<Self, GpuError> {
         let casters = Recipe {
@@ -253,6 +202,8 @@ impl Pipelines {
             mesh: true,
             detailed: false,
             blend: false,
+            beside: None,
+            mirrored: false,
             cull: None,
             depth: Some(caster_depth()),
             samples: 1,
@@ -268,6 +219,7 @@ impl Pipelines {
             object: gpu.shader(Module::Object)?,
             glass: gpu.shader(Module::Glass)?,
             ground: gpu.shader(Module::Ground)?,
+            mirror_mip: gpu.shader(Module::MirrorMip)?,
             composite: gpu.shader(Module::Composite)?,
             target,
             made: HashMap::new(),
@@ -295,6 +247,8 @@ impl Pipelines {
             mesh: true,
             detailed: look.detailed,
             blend: false,
+            beside: None,
+            mirrored: false,
             cull: None,
             depth: Some(caster_depth()),
             samples: 1,
@@ -324,10 +278,12 @@ impl Pipelines {
         let reflection = reflection_layout(&gpu.device);
         let groups = Groups { layouts, video: &video, reflection: &reflection };
         match what {
-            Use::Object { surface, look, double_sided } => self.object(gpu, &groups, kind, (surface, look, double_sided)),
+            Use::Object { surface, look, double_sided } => self.object(gpu, &groups, kind, (surface, look, double_sided), false),
+            Use::Mirrored { surface, look, double_sided } => self.object(gpu, &groups, kind, (surface, look, double_sided), true),
+            Use::MirrorMip => self.mirror_mip(gpu, layouts),
             Use::Glass { look } => self.glass(gpu, &groups, kind, look),
             Use::GlassBack => self.glass_back(gpu, &groups),
-            Use::Ground | Use::Place | Use::Horizon => self.ground(gpu, &groups, kind, what),
+            Use::Ground { .. } | Use::Place { .. } | Use::PlaceMirrored | Use::Horizon => self.ground(gpu, &groups, kind, what),
             Use::Composite => self.composite(gpu, &groups, kind),
         }
     }
@@ -338,6 +294,7 @@ impl Pipelines {
         groups: &Groups<'_>,
         kind: Kind,
         (surface, look, double_sided): (Surface, Look, bool),
+        mirrored: bool,
     ) -> wgpu::RenderPipeline {
         let mut constants = surface_constants(kind, surface, look);
         constants.push(("SAMPLES", f64::from(kind.samples)));
@@ -345,11 +302,13 @@ impl Pipelines {
         let recipe = Recipe {
             label: "object",
             vertex: object_vertex(look),
-            fragment: Some((object_entry(look), Some(LAYER_FORMAT))),
+            fragment: Some((if mirrored { mirrored_entry(look) } else { object_entry(look) }, Some(LAYER_FORMAT))),
             layouts: &[Some(&layouts.frame), Some(video), Some(reflection), Some(&layouts.material)],
             mesh: true,
             detailed: look.detailed,
             blend: look.alpha == Alpha::Blend,
+            beside: mirrored.then_some(MIRROR_FORMATS[1]),
+            mirrored,
             cull: (!double_sided).then_some(wgpu::Face::Back),
             depth: Some(wgpu::DepthStencilState { depth_write_enabled: Some(look.alpha != Alpha::Blend), ..nearer() }),
             samples: kind.samples,
@@ -361,6 +320,8 @@ impl Pipelines {
     fn glass(&self, gpu: &Gpu, groups: &Groups<'_>, kind: Kind, look: Look) -> wgpu::RenderPipeline {
         let Groups { layouts, video, reflection } = groups;
         let entry = if look.detailed { "fs_glass_detailed" } else { "fs_glass" };
+        let mut constants = surface_constants(kind, Surface::Glass, look);
+        constants.push(("PARALLAX", flag(kind.parallax)));
         let recipe = Recipe {
             label: "glass",
             vertex: object_vertex(look),
@@ -369,10 +330,12 @@ impl Pipelines {
             mesh: true,
             detailed: look.detailed,
             blend: false,
+            beside: None,
+            mirrored: false,
             cull: Some(wgpu::Face::Back),
             depth: Some(nearer()),
             samples: kind.samples,
-            constants: &surface_constants(kind, Surface::Glass, look),
+            constants: &constants,
         };
         build(gpu, &self.glass, &recipe)
     }
@@ -386,6 +349,8 @@ impl Pipelines {
             mesh: true,
             detailed: false,
             blend: false,
+            beside: None,
+            mirrored: false,
             cull: Some(wgpu::Face::Front),
             depth: Some(nearer()),
             samples: 1,
@@ -394,45 +359,12 @@ impl Pipelines {
         build(gpu, &self.glass, &recipe)
     }
 
-    /// Ground, the place's meshes, or the ground's horizon.
-    fn ground(&self, gpu: &Gpu, groups: &Groups<'_>, kind: Kind, what: Use) -> wgpu::RenderPipeline {
-        let mut constants = video_constants(kind);
-        constants.push(("PLACE", flag(kind.place)));
-        // The ground gives way to what lies flat on it.
-        let behind = wgpu::DepthBiasState { constant: -8, slope_scale: -2.0, clamp: 0.0 };
-        let ground = Recipe {
-            label: "ground",
-            vertex: "vs_ground",
-            fragment: Some(("fs_ground", Some(LAYER_FORMAT))),
-            layouts: &[Some(&groups.layouts.frame), Some(groups.video)],
-            mesh: false,
-            detailed: false,
-            blend: false,
-            cull: Some(wgpu::Face::Back),
-            depth: Some(depth(wgpu::CompareFunction::Greater, behind)),
-            samples: kind.samples,
-            constants: &constants,
-        };
-        match what {
-            Use::Place => {
-                let fragment = Some(("fs_place", Some(LAYER_FORMAT)));
-                build(gpu, &self.ground, &Recipe { label: "place", vertex: "vs_place", fragment, mesh: true, cull: None, ..ground })
-            }
-            Use::Horizon => {
-                let fragment = Some(("fs_horizon", Some(LAYER_FORMAT)));
-                // It lies in the ground's own plane, and gives way to it too.
-                let farther = wgpu::DepthBiasState { constant: -32, slope_scale: -4.0, clamp: 0.0 };
-                let depth = Some(depth(wgpu::CompareFunction::Greater, farther));
-                build(gpu, &self.ground, &Recipe { label: "horizon", vertex: "vs_horizon", fragment, depth, constants: &[], ..ground })
-            }
-            _ => build(gpu, &self.ground, &ground),
-        }
-    }
-
     fn composite(&self, gpu: &Gpu, groups: &Groups<'_>, kind: Kind) -> wgpu::RenderPipeline {
-        let eight_bits = matches!(self.target, wgpu::TextureFormat::Rgba8Unorm | wgpu::TextureFormat::Bgra8Unorm);
+        let codes = matches!(self.target, wgpu::TextureFormat::Rgba8Unorm | wgpu::TextureFormat::Bgra8Unorm);
+        let encoded = matches!(self.target, wgpu::TextureFormat::Rgba8UnormSrgb | wgpu::TextureFormat::Bgra8UnormSrgb);
         let mut constants = video_constants(kind);
-        constants.push(("ENCODE_SRGB", flag(eight_bits)));
+        constants.extend(background_constants(kind));
+        constants.extend([("ENCODE_SRGB", flag(codes)), ("EIGHT_BITS", flag(codes || encoded))]);
         let recipe = Recipe {
             label: "composite",
             vertex: "vs_fullscreen",
@@ -441,6 +373,8 @@ impl Pipelines {
             mesh: false,
             detailed: false,
             blend: false,
+            beside: None,
+            mirrored: false,
             cull: None,
             depth: None,
             samples: 1,
@@ -451,25 +385,25 @@ impl Pipelines {
 }
 
 /// Layouts of the bind groups.
-struct Groups<'a> {
-    layouts: &'a Layouts,
-    video: &'a wgpu::BindGroupLayout,
-    reflection: &'a wgpu::BindGroupLayout,
+pub(super) struct Groups<'a> {
+    pub(super) layouts: &'a Layouts,
+    pub(super) video: &'a wgpu::BindGroupLayout,
+    pub(super) reflection: &'a wgpu::BindGroupLayout,
 }
 
-fn flag(value: bool) -> f64 {
+pub(super) fn flag(value: bool) -> f64 {
     f64::from(u8::from(value))
 }
 
-/// Nothing lies before it, which depth is reversed for.
-fn nearer() -> wgpu::DepthStencilState {
-    depth(wgpu::CompareFunction::Greater, wgpu::DepthBiasState::default())
-}
-
 /// What shaders that see the video ask for.
-fn video_constants(kind: Kind) -> Vec<(&'static str, f64)> {
+pub(super) fn video_constants(kind: Kind) -> Vec<(&'static str, f64)> {
     let [a, b, c, d] = kind.video.constants();
     vec![a, b, c, d, ("SH_COUNT", kind.sh_count as f64)]
+}
+
+/// What shaders that show the video ask for besides.
+pub(super) fn background_constants(kind: Kind) -> [(&'static str, f64); 2] {
+    [("PARALLAX", flag(kind.parallax)), ("MAGNIFIED", flag(kind.magnified))]
 }
 
 /// What shaders of objects ask for besides.

@@ -5,21 +5,26 @@
 use bytemuck::Zeroable as _;
 use glam::{Mat3, Mat4, Vec3};
 use mr360_protocol::light::DirectionalLight;
-use mr360_protocol::scene::{Geometry, PlaceMesh};
+use mr360_protocol::scene::{Geometry, Gloss, PlaceMesh};
 use mr360_shaders::layout;
-use mr360_shaders::source::{OCCLUDER_REACH, Surface};
+use mr360_shaders::source::{OCCLUDER_REACH, ROUGH_TO, Surface};
 
 use super::material::Look;
 use super::models::Models;
 use super::pipelines::{Kind, Use};
 use super::plan::MAX_SHADOWS;
 use super::resources::VIEW_STRIDE;
-use super::shadows::{Frustum, fit_over};
+use super::shadows::{Frustum, LONGEST_SHADOW_M, fit_over};
 use super::stage::{Draw, MAX_INSTANCES, ModelFault, Stage};
 use super::{FrameReport, PLACE_SHADOWS, Renderer, depth_attachment, draw_part};
+use crate::environment::FrameLight;
 use crate::environment::light::tan_radius;
 use crate::scene::mesh::Bounds;
 
+/// Most objects whose shadows on the place are looked at one by one.
+const MOST_CASTERS: usize = 64;
+/// Most boxes that a shadow is taken apart into.
+const MOST_SHADOW_PIECES: usize = 16;
 /// The place's penumbrae have room beside what objects can change as from this far away, metres.
 const PENUMBRA_FROM_M: f32 = 2.0;
 
@@ -35,6 +40,11 @@ pub(super) struct Place {
     triangles: u64,
 }
 
+/// True for a surface that mirrors objects. What is too rough for a mirror image is matt.
+pub(super) fn is_glossy(gloss: Gloss) -> bool {
+    gloss.reflectance > 0.0 && gloss.roughness < ROUGH_TO
+}
+
 impl Stage {
     /// Adds a mesh of the place, of which `parts` of the scene's are drawn so far.
     pub(super) fn add_place(&mut self, mesh: &PlaceMesh, models: &Models, parts: &mut usize) -> Result<(), ModelFault> {
@@ -44,6 +54,7 @@ impl Stage {
             return Err(ModelFault::TooManyParts);
         }
         *parts += model.parts.len();
+        self.needs.glossy_place |= is_glossy(mesh.gloss);
         let transform = mesh.transform;
         let world_from_object = Mat4::from_scale_rotation_translation(transform.scale, transform.rotation, transform.position);
         let normals = Mat3::from_mat4(world_from_object).inverse().transpose();
@@ -52,6 +63,9 @@ impl Stage {
             self.instances.push(layout::Instance {
                 world_from_object: world_from_object.to_cols_array_2d(),
                 normal_from_object: normals.to_cols_array_2d().map(|[x, y, z]| [x, y, z, 0.0]),
+                roughness: mesh.gloss.roughness,
+                // Of a real surface the colour is the video's, and this its reflectance straight on.
+                base_color: [mesh.gloss.reflectance; 3],
                 ..layout::Instance::zeroed()
             });
             let draw = Draw {
@@ -64,6 +78,7 @@ impl Stage {
                 double_sided: true,
                 center: Vec3::ZERO,
                 surface: Surface::Rough,
+                casts: mesh.casts_shadows,
             };
             self.place.draws.push((draw, mesh.casts_shadows));
             self.place.triangles += u64::from(one.index_count / 3);
@@ -77,15 +92,48 @@ impl Stage {
         Ok(())
     }
 
+    /// The parts of the place that objects can change under this light: within their occluders' reach, and in the shadows of the
+    /// first `shadows` lights; all of it where it `mirrors` them, or where they are many.
+    pub(super) fn changed_place(&self, light: &FrameLight, shadows: usize, mirrors: bool) -> Vec<Bounds> {
+        let place = &self.place.bounds;
+        if mirrors || place.is_empty() || self.casters.len() > MOST_CASTERS {
+            return place.clone();
+        }
+        let reached = self.occluders.iter().map(reach);
+        let shaded = light.lights.iter().take(shadows).flat_map(|light| {
+            self.casters.iter().flat_map(|caster| shadow_pieces(light.direction, tan_radius(light.solid_angle_sr), caster, place))
+        });
+        reached.chain(shaded).flat_map(|space| place.iter().filter_map(move |mesh| space.common(mesh))).collect()
+    }
+
     /// One light's view of the place, over all that objects can change: there alone its shadows are asked for.
     pub(super) fn place_frustum(&self, light: &DirectionalLight) -> Frustum {
-        let reach = |occluder: &layout::Occluder| {
-            let (center, reach) = (Vec3::from_array(occluder.center), Vec3::splat(occluder.radius * OCCLUDER_REACH));
-            Bounds { min: center - reach, max: center + reach }
-        };
         let changed: Vec<_> = self.occluders.iter().map(reach).chain(self.casters.iter().copied()).collect();
         fit_over(light.direction, &changed, &self.place.casters, tan_radius(light.solid_angle_sr).min(0.5) * PENUMBRA_FROM_M)
     }
+}
+
+/// What an occluder hides the sky from.
+fn reach(occluder: &layout::Occluder) -> Bounds {
+    let (center, reach) = (Vec3::from_array(occluder.center), Vec3::splat(occluder.radius * OCCLUDER_REACH));
+    Bounds { min: center - reach, max: center + reach }
+}
+
+/// Boxes around a caster's shadow with its penumbra, piece by piece, up to where it leaves these boxes.
+fn shadow_pieces(to_light: Vec3, tan_radius: f32, caster: &Bounds, place: &[Bounds]) -> Vec<Bounds> {
+    let (center, radius) = (caster.center(), caster.half().length());
+    let ends = place.iter().flat_map(Bounds::corners).map(|corner| (center - corner).dot(to_light));
+    let end = (ends.fold(0.0, f32::max) + radius).min(LONGEST_SHADOW_M);
+    let pieces = ((end / (2.0 * radius).max(1e-3)).ceil() as usize).clamp(1, MOST_SHADOW_PIECES);
+    let step = end / pieces as f32;
+    let piece = |at: usize| {
+        let (near, far) = (at as f32 * step, (at + 1) as f32 * step);
+        let side = Vec3::splat(radius + tan_radius * far);
+        Bounds::EMPTY
+            .joined(&Bounds { min: center - to_light * near - side, max: center - to_light * near + side })
+            .joined(&Bounds { min: center - to_light * far - side, max: center - to_light * far + side })
+    };
+    (0..pieces).map(piece).collect()
 }
 
 impl Renderer {
@@ -124,8 +172,13 @@ impl Renderer {
 
     /// Draws the place into the layer: what objects change of it, and nothing where they do not.
     pub(super) fn draw_place(&self, pass: &mut wgpu::RenderPass<'_>, kind: Kind, report: &mut FrameReport) {
-        let Some(pipeline) = self.pipelines.get(kind, Use::Place).filter(|_| kind.place) else { return };
+        let glossy = report.plan.place_mirrors;
+        let Some(pipeline) = self.pipelines.get(kind, Use::Place { glossy }).filter(|_| kind.place) else { return };
         pass.set_pipeline(pipeline);
+        self.draw_place_parts(pass, report);
+    }
+
+    pub(super) fn draw_place_parts(&self, pass: &mut wgpu::RenderPass<'_>, report: &mut FrameReport) {
         for (draw, _) in &self.stage.place.draws {
             if let Some(Ok(model)) = self.models.get(&draw.geometry)
                 && let Some(part) = model.parts.get(draw.part)

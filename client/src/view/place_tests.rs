@@ -6,7 +6,7 @@ use std::sync::Arc;
 use base64::Engine as _;
 use glam::{Quat, Vec3};
 use mr360_protocol::asset::AssetId;
-use mr360_protocol::scene::{PlaceMesh, Scene, Shape, Transform};
+use mr360_protocol::scene::{Gloss, PlaceMesh, Scene, Shape, Transform};
 
 use super::shadow_tests::{Eye, GROUND_Y, RAYS, Solid, light, seen_of_light, towards};
 use super::*;
@@ -35,17 +35,17 @@ fn cube() -> Arc<Model> {
     Arc::new(Model::parse(json.as_bytes()).unwrap())
 }
 
-fn block(center: Vec3, half: Vec3) -> Solid {
+pub(super) fn block(center: Vec3, half: Vec3) -> Solid {
     Solid::Block { center, half }
 }
 
 /// A scene with real blocks, and the model that they are made of.
-fn scene(objects: &[Solid], real: &[(Solid, bool)]) -> (Scene, crate::render::Models) {
+pub(super) fn scene(objects: &[Solid], real: &[(Solid, bool)]) -> (Scene, crate::render::Models) {
     let id = AssetId::of(b"cube");
     let mesh = |(solid, casts_shadows): &(Solid, bool)| {
         let Solid::Block { center, half } = *solid else { panic!("the place is of blocks here") };
         let transform = Transform { position: center, rotation: Quat::IDENTITY, scale: half * 2.0 };
-        PlaceMesh { model: id, transform, casts_shadows: *casts_shadows }
+        PlaceMesh { model: id, transform, casts_shadows: *casts_shadows, gloss: Gloss::MATT }
     };
     let objects = (1..).zip(objects).map(|(id, solid)| solid.object(id)).collect();
     let scene = Scene { ground_y: GROUND_Y, objects, place: real.iter().map(mesh).collect(), ..Scene::default() };
@@ -142,6 +142,32 @@ fn a_table_of_the_place_catches_the_shadow() {
         }
         println!("table, casting {casts}: {wrong} of {shadow} wrong");
         assert!(shadow > 200 && wrong * 25 < shadow, "casting {casts}: {wrong} of {shadow} wrong");
+    }
+}
+
+#[test]
+fn a_room_all_around_is_drawn_where_objects_change_it() {
+    let gpu = Gpu::headless().unwrap();
+    let mut renderer = Renderer::new(&gpu, wgpu::TextureFormat::Rgba8Unorm).unwrap();
+    let room = block(Vec3::new(0.0, 0.0, 0.0), Vec3::new(4.0, 1.6, 4.0));
+    let ball = Solid::Ball { center: Vec3::new(0.5, GROUND_Y + 0.15, -3.0), radius: 0.15 };
+    let (scene, assets) = scene(&[ball], &[(room, false)]);
+    assert!(renderer.set_scene(&gpu, &scene, &|id| assets.get(&id).cloned().map(Ok)).is_empty());
+    let light = FrameLight { lights: vec![light(towards(0.0, 60.0), 0.01, Vec3::ONE, 1)], ..FrameLight::default() };
+    let (camera, size) = (Camera::looking(0.0, -0.2, 0.9), (640, 360));
+    let part = |mirrors| {
+        let place = renderer.stage.changed_place(&light, 1, mirrors);
+        touched(&camera, size, &renderer.stage, (None, &place)).unwrap()
+    };
+    let (width, height) = part(false).size;
+    assert!(width < 320 && height < 240, "{width}×{height}");
+    assert_eq!(part(true).size, size);
+    // The shadow lies within, from the caster to where it falls.
+    let changed = renderer.stage.changed_place(&light, 1, false);
+    for share in [0.0, 0.3, 0.7, 1.0] {
+        let point =
+            Vec3::new(0.5, GROUND_Y + 0.15, -3.0).lerp(Vec3::new(0.5, GROUND_Y, -3.0) - Vec3::Z * 0.15 / 60f32.to_radians().tan(), share);
+        assert!(changed.iter().any(|part| part.common(&Bounds { min: point, max: point }).is_some()), "{point}: {changed:?}");
     }
 }
 

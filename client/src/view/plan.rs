@@ -1,5 +1,6 @@
 //! What a frame needs: which passes run at all. Decided from the scene and the light, in one place.
 
+use mr360_protocol::light::DirectionalLight;
 use mr360_shaders::colour::luminance;
 use mr360_shaders::source::ROUGH_TO;
 
@@ -10,6 +11,30 @@ use crate::governor::Tier;
 pub const MAX_SHADOWS: usize = 4;
 /// A light casts shadows from this share of the frame's whole irradiance on.
 const SHADOW_SHARE: f32 = 0.02;
+
+/// Lights that cast shadows count for so much more, so that of two nearly alike one goes on casting.
+const KEPT: f32 = 1.25;
+
+/// Which lights cast shadows, by id.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Casting(Vec<u32>);
+
+impl Casting {
+    fn strength(&self, light: &DirectionalLight) -> f32 {
+        luminance(light.irradiance).max(0.0) * if self.0.contains(&light.id) { KEPT } else { 1.0 }
+    }
+
+    /// Strongest first, where those that cast shadows keep their places against others that are not clearly stronger.
+    pub fn order(&self, lights: &mut [DirectionalLight]) {
+        lights.sort_by(|a, b| self.strength(b).total_cmp(&self.strength(a)));
+    }
+
+    /// From now on these do.
+    pub fn keep(&mut self, lights: &[DirectionalLight]) {
+        self.0.clear();
+        self.0.extend(lights.iter().map(|light| light.id));
+    }
+}
 
 /// The passes of one frame, and how well they do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -30,6 +55,10 @@ pub struct Plan {
     pub samples: u32,
     /// Something is of glass and is drawn after all else, which it shows.
     pub glass: bool,
+    /// Glossy ground mirrors the objects: they are drawn once more, as it shows them.
+    pub ground_mirrors: bool,
+    /// Some glossy mesh of the place mirrors the objects.
+    pub place_mirrors: bool,
 }
 
 /// What the plan asks of the scene.
@@ -43,25 +72,32 @@ pub struct SceneNeeds {
     pub beneath_ground: bool,
     /// Some surface is glass.
     pub glass: bool,
+    /// The ground mirrors objects.
+    pub glossy_ground: bool,
+    /// Some mesh of the place mirrors objects.
+    pub glossy_place: bool,
 }
 
 impl Plan {
-    /// Decides.
+    /// Decides. `casting` are those lights that cast shadows so far, of which `light` is in order.
     #[must_use]
-    pub fn new(scene: SceneNeeds, light: &FrameLight) -> Self {
+    pub fn new(scene: SceneNeeds, light: &FrameLight, casting: &Casting) -> Self {
         if scene.objects == 0 {
-            return Self::default();
+            return Self { place_mirrors: scene.glossy_place, ..Self::default() }.within(Tier::FULL);
         }
         let ambient = luminance(light.sh[0]).max(0.0) * 0.282_094_8 * std::f32::consts::PI;
-        let shares: Vec<f32> = light.lights.iter().map(|light| luminance(light.irradiance).max(0.0)).collect();
-        let total = ambient + shares.iter().sum::<f32>();
-        let shadows = shares.iter().take(MAX_SHADOWS).take_while(|share| **share > 0.0 && **share >= SHADOW_SHARE * total).count();
+        let total = ambient + light.lights.iter().map(|light| luminance(light.irradiance).max(0.0)).sum::<f32>();
+        let casts = |light: &&DirectionalLight| luminance(light.irradiance) > 0.0 && casting.strength(light) >= SHADOW_SHARE * total;
+        let shadows = light.lights.iter().take(MAX_SHADOWS).take_while(casts).count();
         let all = Self {
             objects: true,
-            reflections: scene.reflective,
+            // What a glossy real surface shows of the panorama gives way to what it shows of an object.
+            reflections: scene.reflective || scene.glossy_ground || scene.glossy_place,
             shadows,
             ground_hides: scene.beneath_ground,
             glass: scene.glass,
+            ground_mirrors: scene.glossy_ground,
+            place_mirrors: scene.glossy_place,
             ..Self::default()
         };
         all.within(Tier::FULL)
@@ -77,6 +113,8 @@ impl Plan {
             reflections_every: if self.reflections { limits.reflections_every } else { 0 },
             occlusion: self.objects && limits.occlusion,
             samples: if self.objects { samples } else { 0 },
+            ground_mirrors: self.ground_mirrors && limits.mirrors,
+            place_mirrors: self.place_mirrors && limits.mirrors,
             ..self
         }
     }
@@ -92,7 +130,10 @@ pub fn reflects(roughness: f32, glass: bool) -> bool {
 mod tests {
     use super::*;
     use glam::Vec3;
-    use mr360_protocol::light::DirectionalLight;
+
+    fn planned(scene: SceneNeeds, light: &FrameLight) -> Plan {
+        Plan::new(scene, light, &Casting::default())
+    }
 
     fn light(irradiances: &[f32]) -> FrameLight {
         let mut light = FrameLight::default();
@@ -111,33 +152,82 @@ mod tests {
     fn an_overcast_sky_on_diffuse_objects_runs_nothing_extra() {
         let needs = SceneNeeds { objects: 3, ..SceneNeeds::default() };
         let plain = Plan { objects: true, occlusion: true, samples: 4, ..Plan::default() };
-        assert_eq!(Plan::new(needs, &light(&[])), plain);
+        assert_eq!(planned(needs, &light(&[])), plain);
         let mirror = SceneNeeds { reflective: true, ..needs };
         let mirrored = Plan { reflections: true, reflections_every: 1, ..plain };
-        assert_eq!(Plan::new(mirror, &light(&[])), mirrored);
+        assert_eq!(planned(mirror, &light(&[])), mirrored);
         let glass = SceneNeeds { glass: true, ..mirror };
-        assert_eq!(Plan::new(glass, &light(&[])), Plan { glass: true, ..mirrored });
-        assert_eq!(Plan::new(SceneNeeds::default(), &light(&[5.0])), Plan::default());
+        assert_eq!(planned(glass, &light(&[])), Plan { glass: true, ..mirrored });
+        let wet = SceneNeeds { glossy_ground: true, ..needs };
+        assert_eq!(planned(wet, &light(&[])), Plan { ground_mirrors: true, ..mirrored });
+        let table = SceneNeeds { glossy_place: true, ..needs };
+        assert_eq!(planned(table, &light(&[])), Plan { place_mirrors: true, ..mirrored });
+        assert_eq!(planned(SceneNeeds { glossy_ground: true, ..SceneNeeds::default() }, &light(&[])), Plan::default());
+        assert_eq!(planned(SceneNeeds::default(), &light(&[5.0])), Plan::default());
     }
 
     #[test]
     fn a_tier_bounds_and_never_adds() {
         let needs = SceneNeeds { objects: 1, reflective: true, ..SceneNeeds::default() };
-        let all = Plan::new(needs, &light(&[1.0; 6]));
+        let all = planned(needs, &light(&[1.0; 6]));
         let lowest = all.within(Tier::LOWEST);
         assert_eq!(
             (lowest.shadows, lowest.reflections, lowest.reflections_every, lowest.occlusion, lowest.samples),
             (1, true, 4, false, 1)
         );
-        assert_eq!(Plan::new(SceneNeeds::default(), &light(&[5.0])).within(Tier::LOWEST), Plan::default());
-        assert_eq!(Plan::new(SceneNeeds { reflective: false, ..needs }, &light(&[])).within(Tier::LOWEST).shadows, 0);
+        assert_eq!(planned(SceneNeeds::default(), &light(&[5.0])).within(Tier::LOWEST), Plan::default());
+        let wet = planned(SceneNeeds { glossy_ground: true, glossy_place: true, ..needs }, &light(&[]));
+        let lowest = wet.within(Tier::LOWEST);
+        assert!(wet.ground_mirrors && wet.place_mirrors && !lowest.ground_mirrors && !lowest.place_mirrors);
+        assert_eq!(planned(SceneNeeds { reflective: false, ..needs }, &light(&[])).within(Tier::LOWEST).shadows, 0);
     }
 
     #[test]
     fn strong_lights_cast_shadows_and_weak_ones_do_not() {
         let needs = SceneNeeds { objects: 1, ..SceneNeeds::default() };
-        assert_eq!(Plan::new(needs, &light(&[3.0, 0.5, 0.001])).shadows, 2);
-        assert_eq!(Plan::new(needs, &light(&[1.0; 6])).shadows, MAX_SHADOWS);
+        assert_eq!(planned(needs, &light(&[3.0, 0.5, 0.001])).shadows, 2);
+        assert_eq!(planned(needs, &light(&[1.0; 6])).shadows, MAX_SHADOWS);
         assert!(reflects(0.0, false) && reflects(1.0, true) && !reflects(1.0, false));
+    }
+
+    /// Sets of lights that cast shadows, frame by frame, of which only `count` may.
+    fn casting_over(frames: &[Vec<f32>], count: usize) -> Vec<Vec<u32>> {
+        let needs = SceneNeeds { objects: 1, ..SceneNeeds::default() };
+        let mut casting = Casting::default();
+        let one = |irradiances: &Vec<f32>| {
+            let mut frame = light(irradiances);
+            casting.order(&mut frame.lights);
+            let shadows = Plan::new(needs, &frame, &casting).shadows.min(count);
+            casting.keep(&frame.lights[..shadows]);
+            let mut ids = casting.0.clone();
+            ids.sort_unstable();
+            ids
+        };
+        frames.iter().map(one).collect()
+    }
+
+    #[test]
+    fn lights_that_are_nearly_alike_do_not_take_turns_at_casting() {
+        // By turns one is 10 % stronger than the other, of two where one may cast, and of five where four may.
+        let waver = |count: usize| {
+            let frame = |i: usize| (0..count).map(|at| if (at + i) % 2 == 0 { 1.0 } else { 1.1 }).collect();
+            (0..20).map(frame).collect::<Vec<Vec<f32>>>()
+        };
+        for (lights, most) in [(2, 1), (5, MAX_SHADOWS)] {
+            let sets = casting_over(&waver(lights), most);
+            assert!(sets[0].len() == most && sets.windows(2).all(|pair| pair[0] == pair[1]), "{sets:?}");
+        }
+        // One about the share that casts at all.
+        let about = SHADOW_SHARE / (1.0 - SHADOW_SHARE) * (1.0 + 0.282_094_8 * std::f32::consts::PI);
+        let frames: Vec<Vec<f32>> = (0..20).map(|i| vec![1.0, about * if i % 2 == 0 { 1.05 } else { 0.95 }]).collect();
+        let sets = casting_over(&frames, MAX_SHADOWS);
+        assert!(sets.iter().all(|ids| *ids == [0, 1]), "{sets:?}");
+    }
+
+    #[test]
+    fn one_that_is_clearly_stronger_takes_over() {
+        let sets = casting_over(&[vec![1.0, 0.9], vec![1.0, 1.2], vec![1.0, 1.3], vec![1.0, 1.1]], 1);
+        assert_eq!(sets, [[0], [0], [1], [1]]);
+        assert_eq!(casting_over(&[vec![1.0, 0.5], vec![1.0, 0.01]], 2), [vec![0, 1], vec![0]]);
     }
 }

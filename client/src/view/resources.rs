@@ -1,26 +1,30 @@
 //! Buffers, shadow maps and render targets of the view passes.
 
 use bytemuck::Zeroable;
-use glam::Vec3;
+use glam::{Mat4, Vec3};
 use mr360_protocol::light::{DirectionalLight, SAME_LIGHT_COS};
 use mr360_shaders::layout::{self, MAX_OCCLUDERS, SHADOW_MAP_SIZE};
 use mr360_shaders::sh;
 
+use super::background::{Background, view_uniform};
 use super::extent::Part;
+use super::mirror::MirrorLayer;
 use super::pipelines::{BACK_FORMAT, DEPTH_FORMAT, LAYER_FORMAT, Layouts};
 use super::plan::MAX_SHADOWS;
 use super::shadows::{Frustum, LONGEST_SHADOW_M, fit};
 use super::stage::Stage;
-use super::{MAX_VIEWS, View, view_uniform};
+use super::{MAX_VIEWS, View, mirror};
 use crate::environment::FrameLight;
 use crate::environment::light::{map_cut, tan_radius};
 use crate::gpu::Gpu;
+use crate::scene::mesh::Bounds;
 
 /// Bytes from one view's uniform to the next: WebGPU's alignment of dynamic offsets.
 pub(super) const VIEW_STRIDE: u32 = 256;
 
 /// Everything that lives as long as the renderer, whatever is drawn.
 pub(super) struct Resources {
+    /// Those of the eyes, then those of their images in the ground.
     views: wgpu::Buffer,
     lighting: wgpu::Buffer,
     /// What `lighting` holds, and with it `casters`: a light's frustum is in it.
@@ -35,6 +39,8 @@ pub(super) struct Resources {
     pub(super) caster_instances: wgpu::BindGroup,
     pub(super) caster_views: wgpu::BindGroup,
     pub(super) no_layer: wgpu::BindGroup,
+    /// Counts the frame groups made.
+    made: u64,
 }
 
 fn buffer(device: &wgpu::Device, label: &str, size: usize, usage: wgpu::BufferUsages) -> wgpu::Buffer {
@@ -42,9 +48,10 @@ fn buffer(device: &wgpu::Device, label: &str, size: usize, usage: wgpu::BufferUs
     device.create_buffer(&wgpu::BufferDescriptor { label: Some(label), size: size as u64, usage, mapped_at_creation: false })
 }
 
-fn texture(
+/// Of this name and so many levels.
+pub(super) fn texture(
     device: &wgpu::Device,
-    label: &str,
+    (label, mip_level_count): (&str, u32),
     (width, height): (u32, u32),
     layers: u32,
     samples: u32,
@@ -54,7 +61,7 @@ fn texture(
     device.create_texture(&wgpu::TextureDescriptor {
         label: Some(label),
         size: wgpu::Extent3d { width: width.max(1), height: height.max(1), depth_or_array_layers: layers },
-        mip_level_count: 1,
+        mip_level_count,
         sample_count: samples,
         dimension: wgpu::TextureDimension::D2,
         format,
@@ -63,9 +70,14 @@ fn texture(
     })
 }
 
+/// Of all of a texture.
+pub(super) fn texture_view(texture: &wgpu::Texture) -> wgpu::TextureView {
+    texture.create_view(&wgpu::TextureViewDescriptor::default())
+}
+
 impl Resources {
     pub(super) fn new(device: &wgpu::Device, layouts: &Layouts) -> Self {
-        let views = buffer(device, "views", MAX_VIEWS * VIEW_STRIDE as usize, wgpu::BufferUsages::UNIFORM);
+        let views = buffer(device, "views", 2 * MAX_VIEWS * VIEW_STRIDE as usize, wgpu::BufferUsages::UNIFORM);
         let lighting = buffer(device, "lighting", size_of::<layout::Lighting>(), wgpu::BufferUsages::UNIFORM);
         let instances = buffer(device, "instances", size_of::<layout::Instance>() * 16, wgpu::BufferUsages::STORAGE);
         let occluders = buffer(device, "occluders", size_of::<layout::Occluder>() * MAX_OCCLUDERS, wgpu::BufferUsages::UNIFORM);
@@ -84,8 +96,8 @@ impl Resources {
             entries: &[wgpu::BindGroupEntry { binding: 0, resource: slot(&casters, size_of::<layout::Caster>()) }],
         });
         // A fresh texture is zero: nothing drawn.
-        let empty = texture(device, "no layer", (1, 1), 1, 1, LAYER_FORMAT, wgpu::TextureUsages::TEXTURE_BINDING);
-        let no_layer = layer_group(device, &layouts.layer, &empty.create_view(&wgpu::TextureViewDescriptor::default()));
+        let empty = texture(device, ("no layer", 1), (1, 1), 1, 1, LAYER_FORMAT, wgpu::TextureUsages::TEXTURE_BINDING);
+        let no_layer = layer_group(device, &layouts.layer, &texture_view(&empty));
         let shared = (&views, &lighting, &instances, &occluders);
         let frame = frame_group(device, &layouts.frame, shared, &shadow_maps, &shadow_sampler);
         let caster_instances = instances_group(device, &layouts.casters, &instances);
@@ -103,6 +115,7 @@ impl Resources {
             caster_instances,
             caster_views,
             no_layer,
+            made: 0,
         }
     }
 
@@ -121,6 +134,7 @@ impl Resources {
             }
             let shared = (&self.views, &self.lighting, &self.instances, &self.occluders);
             self.frame = frame_group(&gpu.device, &layouts.frame, shared, &self.shadow_maps, &self.shadow_sampler);
+            self.made += 1;
             self.caster_instances = instances_group(&gpu.device, &layouts.casters, &self.instances);
         }
         gpu.queue.write_buffer(&self.instances, 0, bytes);
@@ -129,22 +143,24 @@ impl Resources {
 
     /// The frustum of one light over the casters, with room for the widest penumbra on the ground.
     pub(super) fn frustum(&self, light: &DirectionalLight, stage: &Stage) -> Frustum {
-        let highest = stage.casters.iter().map(|caster| caster.max.y - stage.ground_y).fold(0.0, f32::max);
-        let fall = (highest / light.direction.y.max(0.05)).min(LONGEST_SHADOW_M);
+        let fall = (stage.highest() / light.direction.y.max(0.05)).min(LONGEST_SHADOW_M);
         fit(light.direction, &stage.casters, tan_radius(light.solid_angle_sr) * fall)
     }
 
     /// Writes what changes with the light, if it has: lighting, and the casters' views. The second light is that of the picture, from which
-    /// reflections are made. Frusta are those of the objects and those of the place.
+    /// reflections are made. Frusta are those of the objects and those of the place; `ground` is what of it objects can change.
     pub(super) fn write_frame(
         &mut self,
         gpu: &Gpu,
         stage: &Stage,
         lights: (&FrameLight, &FrameLight),
         (objects, place): (&[Frustum], &[Frustum]),
-        occlusion: bool,
+        (occlusion, ground): (bool, Option<Bounds>),
     ) {
         let mut lighting = lighting(stage, lights, objects, place);
+        if let Some(ground) = ground {
+            (lighting.ground_min, lighting.ground_max) = ([ground.min.x, ground.min.z], [ground.max.x, ground.max.z]);
+        }
         if !occlusion {
             lighting.occluder_count = 0;
         }
@@ -159,15 +175,37 @@ impl Resources {
         self.written = lighting;
     }
 
-    /// Group 0 of the glass that stands before what a layer holds.
-    pub(super) fn glass_group(&self, gpu: &Gpu, layouts: &Layouts, glass: &GlassLayer) -> wgpu::BindGroup {
+    /// Makes group 0 of the glass that stands before what a layer holds, unless it has it.
+    pub(super) fn keep_glass_group(&self, gpu: &Gpu, layouts: &Layouts, glass: &mut GlassLayer) {
+        if glass.group.as_ref().is_some_and(|(made, _)| *made == self.made) {
+            return;
+        }
         let shared = (&self.views, &self.lighting, &self.instances, &self.occluders);
         let entries = glass_entries(frame_entries(shared, &self.shadow_maps, &self.shadow_sampler), glass);
-        gpu.device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some("glass"), layout: &layouts.glass, entries: &entries })
+        let group =
+            gpu.device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some("glass"), layout: &layouts.glass, entries: &entries });
+        glass.group = Some((self.made, group));
     }
 
-    pub(super) fn write_view(&self, gpu: &Gpu, at: usize, view: &View<'_>, layer: Part) {
-        gpu.queue.write_buffer(&self.views, at as u64 * u64::from(VIEW_STRIDE), bytemuck::bytes_of(&view_uniform(view, layer)));
+    /// Writes a view, and how it shows the video.
+    pub(super) fn write_view(&self, gpu: &Gpu, at: usize, view: (&View<'_>, Background), layer: Part) {
+        self.write_view_uniform(gpu, at, &view_uniform(view, layer));
+    }
+
+    /// Writes the image of a view in the ground.
+    pub(super) fn write_mirrored_view(&self, gpu: &Gpu, at: usize, view: &View<'_>, layer: Part, ground_y: f32) {
+        let (own, reflection) = (view_uniform((view, Background::default()), layer), mirror::reflection(ground_y));
+        let image = layout::View {
+            clip_from_world: (Mat4::from_cols_array_2d(&own.clip_from_world) * reflection).to_cols_array_2d(),
+            world_from_ndc: own.world_from_ndc.map(|[x, y, z, padding]| [x, -y, z, padding]),
+            position: reflection.transform_point3(view.camera.position).to_array(),
+            ..own
+        };
+        self.write_view_uniform(gpu, MAX_VIEWS + at, &image);
+    }
+
+    fn write_view_uniform(&self, gpu: &Gpu, slot: usize, uniform: &layout::View) {
+        gpu.queue.write_buffer(&self.views, slot as u64 * u64::from(VIEW_STRIDE), bytemuck::bytes_of(uniform));
     }
 }
 
@@ -192,11 +230,11 @@ fn lighting(stage: &Stage, (light, picture): (&FrameLight, &FrameLight), frusta:
         shadow_count: frusta.len() as u32,
         light_count: light.lights.len() as u32,
         occluder_count: stage.occluders.len() as u32,
+        ground_roughness: stage.ground_gloss.roughness,
+        ground_f0: stage.ground_gloss.reflectance,
+        highest_m: stage.highest(),
         ..layout::Lighting::zeroed()
     };
-    if let Some(ground) = stage.changed_ground(light, frusta.len()) {
-        (out.ground_min, out.ground_max) = ([ground.min.x, ground.min.z], [ground.max.x, ground.max.z]);
-    }
     for (at, (to, light)) in out.lights.iter_mut().zip(&light.lights).enumerate() {
         *to = layout::Light {
             direction: light.direction.to_array(),
@@ -213,7 +251,7 @@ fn lighting(stage: &Stage, (light, picture): (&FrameLight, &FrameLight), frusta:
 /// This many shadow maps, and each of them.
 fn shadow_targets(device: &wgpu::Device, count: usize) -> (wgpu::TextureView, Vec<wgpu::TextureView>) {
     let attachment = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
-    let maps = texture(device, "shadow maps", (SHADOW_MAP_SIZE, SHADOW_MAP_SIZE), count as u32, 1, DEPTH_FORMAT, attachment);
+    let maps = texture(device, ("shadow maps", 1), (SHADOW_MAP_SIZE, SHADOW_MAP_SIZE), count as u32, 1, DEPTH_FORMAT, attachment);
     let all = maps.create_view(&wgpu::TextureViewDescriptor { dimension: Some(wgpu::TextureViewDimension::D2Array), ..Default::default() });
     let layer = |base_array_layer| {
         let dimension = Some(wgpu::TextureViewDimension::D2);
@@ -279,6 +317,8 @@ pub(super) struct Layer {
     pub(super) group: wgpu::BindGroup,
     /// Where the scene holds glass.
     pub(super) glass: Option<GlassLayer>,
+    /// Where the ground mirrors objects.
+    pub(super) mirror: Option<MirrorLayer>,
 }
 
 /// What glass looks at.
@@ -290,16 +330,18 @@ pub(super) struct GlassLayer {
     /// The glass's own far sides.
     pub(super) back: wgpu::TextureView,
     pub(super) back_depth: wgpu::TextureView,
+    /// With the number of the frame's group that it goes with.
+    pub(super) group: Option<(u64, wgpu::BindGroup)>,
 }
 
 impl Layer {
-    pub(super) fn new(device: &wgpu::Device, layout: &wgpu::BindGroupLayout, size: (u32, u32), count: u32, glass: bool) -> Self {
+    pub(super) fn new(device: &wgpu::Device, layouts: &Layouts, size: (u32, u32), count: u32, (glass, mirror): (bool, bool)) -> Self {
         let attachment = wgpu::TextureUsages::RENDER_ATTACHMENT;
         let bound = wgpu::TextureUsages::TEXTURE_BINDING;
-        let make = |label, samples, format, usage| texture(device, label, size, 1, samples, format, usage);
-        let view = |texture: &wgpu::Texture| texture.create_view(&wgpu::TextureViewDescriptor::default());
+        let make = |label, samples, format, usage| texture(device, (label, 1), size, 1, samples, format, usage);
+        let view = texture_view;
         let resolved = view(&make("layer", 1, LAYER_FORMAT, attachment | bound));
-        let depth_texture = make("layer depth", count, DEPTH_FORMAT, attachment | wgpu::TextureUsages::COPY_SRC);
+        let depth_texture = make("layer depth", count, DEPTH_FORMAT, attachment | bound | wgpu::TextureUsages::COPY_SRC);
         let glass = glass.then(|| {
             let drawn_depth = make("drawn depth", count, DEPTH_FORMAT, wgpu::TextureUsages::COPY_DST | attachment | bound);
             GlassLayer {
@@ -308,15 +350,17 @@ impl Layer {
                 drawn_depth,
                 back: view(&make("glass, far sides", 1, BACK_FORMAT, attachment | bound)),
                 back_depth: view(&make("glass, far depth", 1, DEPTH_FORMAT, attachment)),
+                group: None,
             }
         });
         Self {
             samples: (count > 1).then(|| view(&make("layer samples", count, LAYER_FORMAT, attachment))),
             depth: view(&depth_texture),
             depth_texture,
-            group: layer_group(device, layout, &resolved),
+            group: layer_group(device, &layouts.layer, &resolved),
             resolved,
             glass,
+            mirror: mirror.then(|| MirrorLayer::new(device, layouts, size, count)),
         }
     }
 

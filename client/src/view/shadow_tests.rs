@@ -123,6 +123,13 @@ impl Eye {
         Self { camera, size }
     }
 
+    /// The pixel that shows a point.
+    pub(super) fn pixel(&self, point: Vec3) -> usize {
+        let (width, height) = (self.size.0 as f32, self.size.1 as f32);
+        let at = (self.camera.clip_from_view(width / height) * self.camera.view_from_world()).project_point3(point);
+        ((0.5 - at.y * 0.5) * height) as usize * self.size.0 as usize + ((at.x * 0.5 + 0.5) * width) as usize
+    }
+
     pub(super) fn ray(&self, pixel: usize) -> Vec3 {
         let (x, y) = (pixel as u32 % self.size.0, pixel as u32 / self.size.0);
         let (width, height) = (self.size.0 as f32, self.size.1 as f32);

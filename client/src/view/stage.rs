@@ -1,16 +1,19 @@
 //! The scene laid out for drawing: instances in draw order, what casts, what occludes, what can be picked.
 
+use std::collections::HashMap;
 use std::ops::Range;
 
-use glam::{Mat3, Mat4, Vec3};
+use glam::{Mat4, Vec3};
 use mr360_protocol::asset::AssetId;
-use mr360_protocol::scene::{Geometry, Material, MaterialKind, Object, ObjectId, Scene, Transform};
+use mr360_protocol::scene::{Geometry, Gloss, Material, MaterialKind, Object, ObjectId, Scene, Transform};
 use mr360_shaders::layout::{self, MAX_OCCLUDERS};
 use mr360_shaders::source::{Alpha, OCCLUDER_REACH, Surface};
 
+use super::local::{casts, is_local};
 use super::material::Look;
 use super::models::{GpuModel, GpuPart, Models, reflectance};
-use super::place::Place;
+use super::moving::{Slot, matrices};
+use super::place::{Place, is_glossy};
 use super::plan::{SceneNeeds, reflects};
 use super::poses::MAX_POSED_VERTICES;
 use super::shadows::ground_shadow;
@@ -105,6 +108,8 @@ pub(super) struct Draw {
     pub(super) center: Vec3,
     /// What its instances are shaded with.
     pub(super) surface: Surface,
+    /// Its instances throw shadows.
+    pub(super) casts: bool,
 }
 
 /// What is drawn until the scene changes.
@@ -116,6 +121,10 @@ pub(super) struct Stage {
     /// Those that found no room, the smallest.
     pub(super) occluders_lost: usize,
     pub(super) casters: Vec<Bounds>,
+    /// Of objects that throw no shadow.
+    pub(super) apart: Vec<Bounds>,
+    /// Of the objects that can be moved in the layout as it is.
+    pub(super) slots: HashMap<ObjectId, Slot>,
     pub(super) targets: Vec<Target>,
     /// Middles of what is of glass.
     pub(super) glass: Vec<Vec3>,
@@ -123,16 +132,17 @@ pub(super) struct Stage {
     pub(super) animated: Vec<(Geometry, usize, Bounds)>,
     pub(super) needs: SceneNeeds,
     pub(super) ground_y: f32,
+    pub(super) ground_gloss: Gloss,
     pub(super) triangles: u64,
     pub(super) place: Place,
 }
 
-struct Placed<'a> {
-    object: &'a Object,
-    model: &'a GpuModel,
-    animation: Option<usize>,
+pub(super) struct Placed<'a> {
+    pub(super) object: &'a Object,
+    pub(super) model: &'a GpuModel,
+    pub(super) animation: Option<usize>,
     /// In its own frame, in all its poses.
-    bounds: Bounds,
+    pub(super) bounds: Bounds,
     world_from_object: Mat4,
 }
 
@@ -163,13 +173,18 @@ impl Stage {
         }
         // Objects of the same geometry and kind of surface share draws; those with a material of their own use none
         // of the file's textures.
-        let key = |p: &Placed<'_>| (geometry_key(&p.object.geometry), p.animation, p.object.material.as_ref().map(surface_of));
+        let key = |p: &Placed<'_>| {
+            (geometry_key(&p.object.geometry), p.animation, p.object.material.as_ref().map(surface_of), casts(p.object.id))
+        };
         placed.sort_by_key(key);
-        let mut stage = Self { ground_y: scene.ground_y, ..Self::default() };
+        let mut stage = Self { ground_y: scene.ground_y, ground_gloss: scene.ground, ..Self::default() };
+        stage.needs.glossy_ground = is_glossy(scene.ground);
         for run in placed.chunk_by(|a, b| key(a) == key(b)) {
             stage.add_run(run);
         }
-        (stage.occluders, stage.occluders_lost) = occluders(&placed);
+        let ranges;
+        (stage.occluders, stage.occluders_lost, ranges) = occluders(&placed);
+        stage.hold_occluders(&ranges);
         stage.needs.objects = placed.len();
         for (index, mesh) in (1..).zip(&scene.place) {
             if let Err(fault) = stage.add_place(mesh, models, &mut parts) {
@@ -181,6 +196,8 @@ impl Stage {
 
     fn add_run(&mut self, run: &[Placed<'_>]) {
         let Some(first) = run.first() else { return };
+        let casting = casts(first.object.id);
+        let first_instance = self.instances.len() as u32;
         for (at, part) in first.model.parts.iter().enumerate() {
             let start = self.instances.len() as u32;
             self.instances.extend(run.iter().map(|placed| instance(placed, part)));
@@ -217,6 +234,7 @@ impl Stage {
                 double_sided: part.surface.double_sided,
                 surface,
                 center,
+                casts: casting,
             };
             if look.alpha == Alpha::Blend {
                 let one =
@@ -227,19 +245,32 @@ impl Stage {
             }
             self.triangles += u64::from(part.index_count / 3) * run.len() as u64;
         }
-        for placed in run {
-            let corners = placed.bounds.corners().map(|corner| placed.world_from_object.transform_point3(corner));
-            let world = corners.into_iter().fold(Bounds::EMPTY, Bounds::including);
-            // A millimetre: what stands on the ground by its bounds does not reach beneath it.
-            self.needs.beneath_ground |= world.min.y < self.ground_y - 1e-3;
-            self.casters.push(world);
+        for (at, placed) in run.iter().enumerate() {
+            let world = world_bounds(&placed.bounds, &placed.world_from_object);
+            self.needs.beneath_ground |= self.is_beneath(&world);
+            let slot = Slot::new(placed, first_instance + at as u32, run.len() as u32, self.place_of_next(casting));
+            self.slots.extend(slot.map(|slot| (placed.object.id, slot)));
+            let bounds = if casting { &mut self.casters } else { &mut self.apart };
+            bounds.push(world);
             self.animated.extend(placed.animation.map(|animation| (placed.object.geometry, animation, world)));
             let shape = match placed.object.geometry {
                 Geometry::Shape(shape) => Some(shape),
                 Geometry::Model(_) => None,
             };
-            self.targets.push(Target { id: placed.object.id, transform: placed.object.transform, bounds: placed.bounds, shape });
+            if !is_local(placed.object.id) {
+                self.targets.push(Target { id: placed.object.id, transform: placed.object.transform, bounds: placed.bounds, shape });
+            }
         }
+    }
+
+    /// How high over the ground objects reach, metres.
+    pub(super) fn highest(&self) -> f32 {
+        self.casters.iter().map(|caster| caster.max.y - self.ground_y).fold(0.0, f32::max)
+    }
+
+    /// A millimetre: what stands on the ground by its bounds does not reach beneath it.
+    pub(super) fn is_beneath(&self, world: &Bounds) -> bool {
+        world.min.y < self.ground_y - 1e-3
     }
 
     /// Draws of blended surfaces, the farthest from a point first: those that glass may show, and those nearer than all glass.
@@ -251,8 +282,8 @@ impl Stage {
     }
 
     /// The part of the ground, in x and z, that objects can change under this light: their occluders' reach and
-    /// the shadows of the first `shadows` lights.
-    pub(super) fn changed_ground(&self, light: &FrameLight, shadows: usize) -> Option<Bounds> {
+    /// the shadows of the first `shadows` lights; and on which `eyes` see them mirrored.
+    pub(super) fn changed_ground(&self, light: &FrameLight, shadows: usize, eyes: &[Vec3]) -> Option<Bounds> {
         let mut changed: Option<Bounds> = None;
         let mut add = |bounds: Bounds| changed = Some(changed.map_or(bounds, |all| all.including(bounds.min).including(bounds.max)));
         for occluder in &self.occluders {
@@ -263,6 +294,7 @@ impl Stage {
                 add(Bounds { min: center - across, max: center + across });
             }
         }
+        eyes.iter().filter_map(|eye| self.mirrored_ground(*eye)).for_each(&mut add);
         for light in light.lights.iter().take(shadows) {
             let tan_radius = tan_radius(light.solid_angle_sr);
             for caster in &self.casters {
@@ -281,6 +313,11 @@ impl<'a> Placed<'a> {
         let world_from_object = Mat4::from_scale_rotation_translation(scale, rotation, position);
         Self { object, model, animation, bounds: model.bounds(animation), world_from_object }
     }
+}
+
+/// Around a box in the world.
+pub(super) fn world_bounds(bounds: &Bounds, world_from_object: &Mat4) -> Bounds {
+    bounds.corners().map(|corner| world_from_object.transform_point3(corner)).into_iter().fold(Bounds::EMPTY, Bounds::including)
 }
 
 fn surface_of(material: &Material) -> Surface {
@@ -303,10 +340,10 @@ fn instance(placed: &Placed<'_>, part: &GpuPart) -> layout::Instance {
         metallic: surface.metallic,
         kind: if surface.glass { MaterialKind::Glass } else { MaterialKind::Opaque },
     });
-    let normals = Mat3::from_mat4(placed.world_from_object).inverse().transpose();
+    let (world_from_object, normal_from_object) = matrices(&placed.world_from_object);
     layout::Instance {
-        world_from_object: placed.world_from_object.to_cols_array_2d(),
-        normal_from_object: normals.to_cols_array_2d().map(|[x, y, z]| [x, y, z, 0.0]),
+        world_from_object,
+        normal_from_object,
         base_color: own.base_color,
         roughness: own.roughness,
         metallic: own.metallic,
@@ -316,37 +353,47 @@ fn instance(placed: &Placed<'_>, part: &GpuPart) -> layout::Instance {
     }
 }
 
-/// The spheres that stand for the objects, and how many found no room.
-fn occluders(placed: &[Placed<'_>]) -> (Vec<layout::Occluder>, usize) {
-    let spheres_of = |placed: &Placed<'_>, detailed: bool| {
-        let (transform, model) = (placed.object.transform, placed.model);
-        let spheres = if detailed && !model.cover.is_empty() {
-            model.cover.iter().map(|sphere| sphere.scaled(transform.scale)).collect()
-        } else if detailed {
-            occluder::cover(&placed.bounds, transform.scale, model.round)
-        } else {
-            vec![occluder::single(&placed.bounds, transform.scale)]
-        };
-        let (albedo, specular) =
-            placed.object.material.map_or((model.albedo, model.specular), |own| reflectance(own.base_color.into(), own.metallic));
-        let object = placed.object.id.0;
-        // A model fills only a part of its box: half of it on average, 0.8 of each side.
-        let filled = if model.cover.is_empty() || detailed { 1.0 } else { 0.8 };
-        spheres.into_iter().map(move |sphere| layout::Occluder {
-            center: (transform.position + transform.rotation * sphere.center).to_array(),
-            radius: sphere.radius * filled,
-            albedo: albedo.to_array(),
-            object,
-            specular: specular.to_array(),
-            padding: 0.0,
-        })
-    };
-    let mut all: Vec<_> = placed.iter().flat_map(|p| spheres_of(p, true)).collect();
+/// The spheres that stand for the objects, how many found no room, and which are whose, where all did.
+fn occluders(placed: &[Placed<'_>]) -> (Vec<layout::Occluder>, usize, Vec<(ObjectId, Range<usize>)>) {
+    let casting = || placed.iter().filter(|placed| casts(placed.object.id));
+    let mut all = Vec::new();
+    let mut ranges = Vec::new();
+    for placed in casting() {
+        let begin = all.len();
+        all.extend(spheres_of(placed, true));
+        ranges.push((placed.object.id, begin..all.len()));
+    }
     if all.len() > MAX_OCCLUDERS {
-        all = placed.iter().flat_map(|p| spheres_of(p, false)).collect();
+        all = casting().flat_map(|placed| spheres_of(placed, false)).collect();
         all.sort_by(|a, b| b.radius.total_cmp(&a.radius));
+        ranges.clear();
     }
     let lost = all.len().saturating_sub(MAX_OCCLUDERS);
     all.truncate(MAX_OCCLUDERS);
-    (all, lost)
+    (all, lost, ranges)
+}
+
+fn spheres_of(placed: &Placed<'_>, detailed: bool) -> Vec<layout::Occluder> {
+    let (transform, model) = (placed.object.transform, placed.model);
+    let spheres = if detailed && !model.cover.is_empty() {
+        model.cover.iter().map(|sphere| sphere.scaled(transform.scale)).collect()
+    } else if detailed {
+        occluder::cover(&placed.bounds, transform.scale, model.round)
+    } else {
+        vec![occluder::single(&placed.bounds, transform.scale)]
+    };
+    let (albedo, specular) =
+        placed.object.material.map_or((model.albedo, model.specular), |own| reflectance(own.base_color.into(), own.metallic));
+    let object = placed.object.id.0;
+    // A model fills only a part of its box: half of it on average, 0.8 of each side.
+    let filled = if model.cover.is_empty() || detailed { 1.0 } else { 0.8 };
+    let occluder = |sphere: occluder::Sphere| layout::Occluder {
+        center: (transform.position + transform.rotation * sphere.center).to_array(),
+        radius: sphere.radius * filled,
+        albedo: albedo.to_array(),
+        object,
+        specular: specular.to_array(),
+        padding: 0.0,
+    };
+    spheres.into_iter().map(occluder).collect()
 }

@@ -6,7 +6,7 @@ use std::f32::consts::PI;
 use glam::{Quat, Vec2, Vec3};
 use half::f16;
 use mr360_protocol::light::{DirectionalLight, Lift, LightFrame};
-use mr360_protocol::scene::{Geometry, Material, MaterialKind, Object, Scene, Shape, Transform};
+use mr360_protocol::scene::{Geometry, Gloss, Material, MaterialKind, Object, Scene, Shape, Transform};
 use mr360_protocol::video::{Colour, StereoLayout, Transfer};
 use mr360_shaders::colour::{rgb_from_yuv, srgb_encode};
 use mr360_shaders::equirect::{direction_from_uv, uv_from_direction};
@@ -56,8 +56,12 @@ pub(super) fn camera() -> Camera {
 
 pub(super) fn draw(gpu: &Gpu, picture: &Picture, light: &LightFrame, scene: &Scene, camera: &Camera) -> Vec<Vec3> {
     let still = Still { gpu, picture, light, scene, assets: &HashMap::new() };
-    let bytes = still.draw(camera, SIZE, wgpu::TextureFormat::Rgba32Float).unwrap();
-    bytemuck::pod_collect_to_vec::<u8, f32>(&bytes).chunks_exact(4).map(|t| Vec3::new(t[0], t[1], t[2])).collect()
+    floats(&still.draw(camera, SIZE, wgpu::TextureFormat::Rgba32Float).unwrap())
+}
+
+/// Radiance by pixel, of a target of 32-bit floats.
+pub(super) fn floats(bytes: &[u8]) -> Vec<Vec3> {
+    bytemuck::pod_collect_to_vec::<u8, f32>(bytes).chunks_exact(4).map(|t| Vec3::new(t[0], t[1], t[2])).collect()
 }
 
 pub(super) fn ray_of(camera: &Camera, index: usize) -> Vec3 {
@@ -311,10 +315,10 @@ fn diffuse_objects_without_lights_run_two_passes() {
         view_formats: &[],
     });
     let view = target.create_view(&wgpu::TextureViewDescriptor::default());
-    let mut names = |material, lights: Vec<DirectionalLight>| {
+    let mut names = |material, ground, lights: Vec<DirectionalLight>| {
         let light = LightFrame { pts_us: 0, published_us: 0, lift: Lift::Linear, sh: vec![Vec3::ONE; 9], lights };
         renderer.set_light(&light);
-        renderer.set_scene(&gpu, &ball(material), &|_| None);
+        renderer.set_scene(&gpu, &Scene { ground, ..ball(material) }, &|_| None);
         let mut seen = std::collections::BTreeSet::new();
         // Times come back one or two frames later, and those of the scene before with them.
         for frame in 0..6 {
@@ -329,11 +333,16 @@ fn diffuse_objects_without_lights_run_two_passes() {
         }
         PASSES.into_iter().filter(|name| seen.contains(name)).collect::<Vec<_>>()
     };
-    assert_eq!(names(diffuse(0.8), vec![]), ["objects", "composite"]);
-    assert_eq!(names(mirror(), vec![]), ["reflections", "objects", "composite"]);
+    let matt = Gloss::MATT;
+    assert_eq!(names(diffuse(0.8), matt, vec![]), ["objects", "composite"]);
+    assert_eq!(names(mirror(), matt, vec![]), ["reflections", "objects", "composite"]);
     let glass = Material { kind: MaterialKind::Glass, ..mirror() };
-    assert_eq!(names(glass, vec![]), ["reflections", "objects", "glass", "composite"]);
-    assert_eq!(names(diffuse(0.8), vec![sun(Vec3::Y, 2.0)]), ["shadow 1", "objects", "composite"]);
+    assert_eq!(names(glass, matt, vec![]), ["reflections", "objects", "glass", "composite"]);
+    assert_eq!(names(diffuse(0.8), matt, vec![sun(Vec3::Y, 2.0)]), ["shadow 1", "objects", "composite"]);
+    let wet = Gloss { roughness: 0.2, reflectance: 0.04 };
+    assert_eq!(names(diffuse(0.8), wet, vec![]), ["reflections", "mirror", "objects", "composite"]);
+    let rough = Gloss { roughness: 1.0, reflectance: 0.04 };
+    assert_eq!(names(diffuse(0.8), rough, vec![]), ["objects", "composite"]);
 }
 
 #[test]

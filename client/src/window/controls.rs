@@ -1,45 +1,64 @@
 //! What mouse and keys do. No window in here.
 
-use glam::{Vec2, Vec3};
-use mr360_protocol::scene::ObjectId;
+use std::f32::consts::{PI, TAU};
+
+use glam::{Quat, Vec2, Vec3};
+use mr360_protocol::clock::ClientTime;
+use mr360_protocol::intent::{Action, Motion};
+use mr360_protocol::scene::{MAX_POSITION_M, ObjectId, Transform};
 
 use crate::camera::Camera;
-use crate::frame_loop::Stage;
+use crate::hands::{History, LocalObject, Palette, World, ground, scaled};
+use crate::scene::pick::Ray;
 
 /// Field of view at the start, degrees.
 const START_FOV_DEG: f32 = 75.0;
 /// Narrowest and widest field of view, degrees.
 const FOV_DEG: std::ops::RangeInclusive<f32> = 30.0..=110.0;
-/// Field of view changes by this factor for every notch of the wheel.
+/// Field of view, or the size of what is held, changes by this factor for every notch of the wheel.
 const ZOOM: f32 = 1.08;
 /// Highest and lowest look: straight up and down would leave yaw without meaning.
-const MAX_PITCH_RAD: f32 = 89.0 * std::f32::consts::PI / 180.0;
+const MAX_PITCH_RAD: f32 = 89.0 * PI / 180.0;
 /// Farther away the ground runs so flat that a pixel is metres.
 const MAX_REACH_M: f32 = 50.0;
+/// A height of the window turns what is held so far, radians.
+const TURN_RAD: f32 = PI;
+/// A key turns what is held so far, radians.
+const KEY_TURN_RAD: f32 = PI / 12.0;
+/// A key raises the viewer so far, and so far at most from where the panorama was filmed, metres.
+const RAISE_M: f32 = 0.1;
+/// See [`RAISE_M`].
+const MAX_HEIGHT_M: f32 = 10.0;
 
-/// What the user does to the shared scene.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum UserAction {
-    /// Holds an object: others cannot take it meanwhile.
-    Grab(ObjectId),
-    /// Wants it at this position, metres.
-    Move(ObjectId, Vec3),
-    /// Lets go of it.
-    Release(ObjectId),
-}
-
-/// What the pressed button does.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// What the pointer does as it moves.
+#[derive(Debug)]
 enum Drag {
     Nothing,
     /// The panorama follows the pointer.
     Look,
-    /// An object follows the pointer on the ground; `offset` is its position less the ground point it was grabbed at.
-    Object {
-        id: ObjectId,
-        offset: Vec3,
-        height: f32,
-    },
+    Object(Held),
+}
+
+/// An object at the pointer.
+#[derive(Debug)]
+struct Held {
+    id: ObjectId,
+    transform: Transform,
+    way: Way,
+    history: History,
+    /// It has been moved since the last frame: at most one wish a frame, for the newest place is all that counts.
+    moved: bool,
+}
+
+/// How an object follows the pointer.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Way {
+    /// On the ground: its position less the point of the ground under the pointer. None above the horizon, until the ground is met.
+    Ground(Option<Vec3>),
+    /// Up and down: its height less that of the pointer above it.
+    Lift(f32),
+    /// It turns in place.
+    Turn,
 }
 
 /// Where the user looks, and what the pointer holds.
@@ -48,13 +67,15 @@ pub(super) struct Controls {
     yaw_rad: f32,
     pitch_rad: f32,
     fov_y_rad: f32,
+    height_m: f32,
     /// Pixels from the top left.
     pointer: Vec2,
     size: Vec2,
+    /// Shift is down: what is held is lifted.
+    lifting: bool,
     drag: Drag,
-    /// At most one a frame: the newest position is all that counts.
-    moved: Option<(ObjectId, Vec3)>,
-    actions: Vec<UserAction>,
+    palette: Palette,
+    actions: Vec<Action>,
 }
 
 impl Controls {
@@ -63,199 +84,516 @@ impl Controls {
             yaw_rad: 0.0,
             pitch_rad: 0.0,
             fov_y_rad: START_FOV_DEG.to_radians(),
+            height_m: 0.0,
             pointer: Vec2::ZERO,
             size: Vec2::ONE,
+            lifting: false,
             drag: Drag::Nothing,
-            moved: None,
+            palette: Palette::default(),
             actions: Vec::new(),
         }
     }
 
     pub(super) fn camera(&self) -> Camera {
-        Camera::looking(self.yaw_rad, self.pitch_rad, self.fov_y_rad)
+        Camera { position: Vec3::Y * self.height_m, ..Camera::looking(self.yaw_rad, self.pitch_rad, self.fov_y_rad) }
     }
 
     pub(super) fn resized(&mut self, width: u32, height: u32) {
         self.size = Vec2::new(width.max(1) as f32, height.max(1) as f32);
     }
 
-    /// Looks straight ahead again.
+    /// Looks straight ahead again, from where the panorama was filmed.
     pub(super) fn reset(&mut self) {
-        (self.yaw_rad, self.pitch_rad, self.fov_y_rad) = (0.0, 0.0, START_FOV_DEG.to_radians());
+        (self.yaw_rad, self.pitch_rad, self.fov_y_rad, self.height_m) = (0.0, 0.0, START_FOV_DEG.to_radians(), 0.0);
     }
 
-    /// Positive notches narrow the view.
-    pub(super) fn zoomed(&mut self, notches: f32) {
-        if notches.is_finite() {
-            let fov_deg = self.fov_y_rad.to_degrees() / ZOOM.powf(notches.clamp(-20.0, 20.0));
+    /// Raises the eyes, or lowers them.
+    pub(super) fn raise(&mut self, up: bool) {
+        let by = if up { RAISE_M } else { -RAISE_M };
+        self.height_m = (self.height_m + by).clamp(-MAX_HEIGHT_M, MAX_HEIGHT_M);
+    }
+
+    pub(super) fn set_lifting(&mut self, lifting: bool) {
+        self.lifting = lifting;
+    }
+
+    /// Positive notches narrow the view, or make larger what is held or about to be put.
+    pub(super) fn wheel(&mut self, notches: f32, now: ClientTime) {
+        if !notches.is_finite() {
+            return;
+        }
+        let factor = ZOOM.powf(notches.clamp(-20.0, 20.0));
+        if let Drag::Object(held) = &mut self.drag {
+            held.place(Transform { scale: scaled(held.transform.scale, factor), ..held.transform }, now);
+        } else if self.palette.item().is_some() {
+            self.palette.scale_by(factor);
+        } else {
+            let fov_deg = self.fov_y_rad.to_degrees() / factor;
             self.fov_y_rad = fov_deg.clamp(*FOV_DEG.start(), *FOV_DEG.end()).to_radians();
         }
     }
 
-    pub(super) fn pressed(&mut self, stage: &impl Stage) {
-        self.released();
-        let camera = self.camera();
-        let Some(id) = stage.pick(&camera, self.ndc(), self.aspect()) else {
-            self.drag = Drag::Look;
+    /// The left button: puts an item, takes an object, or looks around.
+    pub(super) fn pressed(&mut self, world: &impl World, now: ClientTime) {
+        self.released(now);
+        if self.palette.item().is_some() {
+            self.actions.extend(self.palette.put(&self.ray(), world));
             return;
+        }
+        self.drag = match self.take(world, now) {
+            Some(held) => Drag::Object(held),
+            None => Drag::Look,
         };
-        let ground = self.ground(stage);
-        let position = stage.position(id).or(ground).unwrap_or(Vec3::ZERO);
-        // Grabbed above the horizon or far out, it comes to the pointer at its first move.
-        let offset = ground.map_or(Vec3::ZERO, |ground| position - ground);
-        self.drag = Drag::Object { id, offset, height: position.y };
-        self.actions.push(UserAction::Grab(id));
     }
 
-    pub(super) fn released(&mut self) {
-        if let Drag::Object { id, .. } = std::mem::replace(&mut self.drag, Drag::Nothing) {
-            self.flush_move();
-            self.actions.push(UserAction::Release(id));
+    /// The right button: turns an object, the held one or that under the pointer.
+    pub(super) fn turn_pressed(&mut self, world: &impl World, now: ClientTime) {
+        if !matches!(self.drag, Drag::Object(_))
+            && let Some(held) = self.take(world, now)
+        {
+            self.drag = Drag::Object(held);
+        }
+        if let Drag::Object(held) = &mut self.drag {
+            held.way = Way::Turn;
+        }
+    }
+
+    /// The right button is up: the object is on the ground again, or let go of where the left button is up, too.
+    pub(super) fn turn_released(&mut self, left_down: bool, now: ClientTime) {
+        match &mut self.drag {
+            Drag::Object(held) if left_down => held.way = Way::Ground(None),
+            _ => self.released(now),
+        }
+    }
+
+    /// Lets go of what is held: thrown, if it was moving.
+    pub(super) fn released(&mut self, now: ClientTime) {
+        self.flush_move();
+        if let Drag::Object(held) = std::mem::replace(&mut self.drag, Drag::Nothing) {
+            self.actions.push(Action::Release(held.id, held.history.motion(now)));
         }
     }
 
     /// The pointer is at `to`, pixels from the top left.
-    pub(super) fn moved(&mut self, to: Vec2, stage: Option<&impl Stage>) {
-        let by = to - self.pointer;
-        self.pointer = to;
-        match self.drag {
+    pub(super) fn moved(&mut self, to: Vec2, world: Option<&impl World>, now: ClientTime) {
+        let before = std::mem::replace(&mut self.pointer, to);
+        let by = to - before;
+        let (camera, ray) = (self.camera(), self.ray());
+        let wanted = if self.lifting { Way::Lift(0.0) } else { Way::Ground(None) };
+        match &mut self.drag {
             Drag::Nothing => {}
             Drag::Look => {
                 let rad_per_pixel = self.fov_y_rad / self.size.y;
-                self.yaw_rad = (self.yaw_rad + by.x * rad_per_pixel).rem_euclid(std::f32::consts::TAU);
+                self.yaw_rad = (self.yaw_rad + by.x * rad_per_pixel).rem_euclid(TAU);
                 self.pitch_rad = (self.pitch_rad + by.y * rad_per_pixel).clamp(-MAX_PITCH_RAD, MAX_PITCH_RAD);
             }
-            Drag::Object { id, offset, height } => {
-                if let Some(ground) = stage.and_then(|stage| self.ground(stage)) {
-                    let position = ground + offset;
-                    self.moved = Some((id, Vec3::new(position.x, height, position.z)));
+            Drag::Object(held) if held.way == Way::Turn => {
+                let turn = by / self.size.y * TURN_RAD;
+                let sideways = camera.world_from_view * Vec3::X;
+                let rotation = Quat::from_rotation_y(turn.x) * Quat::from_axis_angle(sideways, turn.y) * held.transform.rotation;
+                held.place(Transform { rotation: rotation.normalize(), ..held.transform }, now);
+            }
+            Drag::Object(held) => {
+                let Some(world) = world else { return };
+                let old = Ray { direction: camera.ray(ndc(before, self.size), self.size.x / self.size.y), ..ray };
+                if std::mem::discriminant(&held.way) != std::mem::discriminant(&wanted) {
+                    held.way = match wanted {
+                        Way::Lift(_) => Way::Lift(held.transform.position.y - height_at(&old, held.transform.position)),
+                        other => other,
+                    };
                 }
+                held.follow(&ray, &old, world, now);
             }
         }
     }
 
+    /// Turns what is held, or what is under the pointer, by a notch.
+    pub(super) fn turn(&mut self, left: bool, world: &impl World, now: ClientTime) {
+        let angle = if left { KEY_TURN_RAD } else { -KEY_TURN_RAD };
+        if self.palette.item().is_some() {
+            self.palette.turn_by(angle);
+            return;
+        }
+        self.change(world, now, |transform, _| Transform {
+            rotation: (Quat::from_rotation_y(angle) * transform.rotation).normalize(),
+            ..transform
+        });
+    }
+
+    /// Stands what is held, or what is under the pointer, on the ground.
+    pub(super) fn snap(&mut self, world: &impl World, now: ClientTime) {
+        self.change(world, now, |transform, id| {
+            world.object_bounds(id).map_or(transform, |bounds| ground::on_ground(&transform, &bounds, world.ground_y()))
+        });
+        if matches!(self.drag, Drag::Object(_)) {
+            self.flush_move();
+            if let Drag::Object(held) = std::mem::replace(&mut self.drag, Drag::Nothing) {
+                self.actions.push(Action::Release(held.id, Motion::STILL));
+            }
+        }
+    }
+
+    /// Takes what is held, or what is under the pointer, out of the scene.
+    pub(super) fn remove(&mut self, world: &impl World) {
+        let held = match std::mem::replace(&mut self.drag, Drag::Nothing) {
+            Drag::Object(held) => Some(held.id),
+            other => {
+                self.drag = other;
+                world.pick(&self.ray()).map(|(id, _)| id)
+            }
+        };
+        self.actions.extend(held.map(Action::Remove));
+    }
+
+    fn change(&mut self, world: &impl World, now: ClientTime, to: impl Fn(Transform, ObjectId) -> Transform) {
+        if let Drag::Object(held) = &mut self.drag {
+            held.place(to(held.transform, held.id), now);
+        } else if let Some((id, _)) = world.pick(&self.ray())
+            && let Some(transform) = world.transform(id)
+        {
+            self.actions.extend([Action::Grab(id), Action::Move(id, to(transform, id)), Action::Release(id, Motion::STILL)]);
+        }
+    }
+
+    /// The next item of the library, or the so manieth.
+    pub(super) fn choose(&mut self, item: Option<usize>, world: &impl World) {
+        match item {
+            None => self.palette.cycle(world.library()),
+            Some(item) => self.palette.choose((item < world.library().len()).then_some(item)),
+        }
+    }
+
+    /// Puts the library away; false when it was not in hand.
+    pub(super) fn close_palette(&mut self) -> bool {
+        let open = self.palette.item().is_some();
+        self.palette.choose(None);
+        open
+    }
+
+    /// What this viewer alone sees: the item about to be put.
+    pub(super) fn drawn(&self, world: &impl World) -> Vec<LocalObject> {
+        self.palette.ghost(&self.ray(), world).into_iter().collect()
+    }
+
     /// What happened since the last call, in order.
-    pub(super) fn take_actions(&mut self) -> Vec<UserAction> {
+    pub(super) fn take_actions(&mut self) -> Vec<Action> {
         self.flush_move();
         std::mem::take(&mut self.actions)
     }
 
     fn flush_move(&mut self) {
-        if let Some((id, position)) = self.moved.take() {
-            self.actions.push(UserAction::Move(id, position));
+        if let Drag::Object(held) = &mut self.drag
+            && std::mem::take(&mut held.moved)
+        {
+            self.actions.push(Action::Move(held.id, held.transform));
         }
     }
 
-    fn ground(&self, stage: &impl Stage) -> Option<Vec3> {
-        let point = stage.ground_point(&self.camera(), self.ndc(), self.aspect())?;
-        (point.is_finite() && point.length() <= MAX_REACH_M).then_some(point)
+    fn take(&mut self, world: &impl World, now: ClientTime) -> Option<Held> {
+        let ray = self.ray();
+        let (id, _) = world.pick(&ray)?;
+        let transform = world.transform(id)?;
+        self.actions.push(Action::Grab(id));
+        let way = Way::Ground(ground_point(&ray, world).map(|point| transform.position - point));
+        let mut held = Held { id, transform, way, history: History::default(), moved: false };
+        held.history.push(now, &transform);
+        Some(held)
     }
 
-    fn ndc(&self) -> Vec2 {
-        let unit = self.pointer / self.size;
-        Vec2::new(unit.x * 2.0 - 1.0, 1.0 - unit.y * 2.0)
+    fn ray(&self) -> Ray {
+        let camera = self.camera();
+        Ray { origin: camera.position, direction: camera.ray(ndc(self.pointer, self.size), self.size.x / self.size.y) }
+    }
+}
+
+impl Held {
+    fn place(&mut self, transform: Transform, now: ClientTime) {
+        let edge = Vec3::splat(MAX_POSITION_M);
+        let transform = Transform { position: transform.position.clamp(-edge, edge), ..transform };
+        if transform.validate("move").is_ok() {
+            self.transform = transform;
+            self.history.push(now, &transform);
+            self.moved = true;
+        }
     }
 
-    fn aspect(&self) -> f32 {
-        self.size.x / self.size.y
+    /// Follows the pointer from one ray to the next.
+    fn follow(&mut self, ray: &Ray, old: &Ray, world: &impl World, now: ClientTime) {
+        let position = self.transform.position;
+        let to = match self.way {
+            Way::Ground(offset) => {
+                let Some(point) = ground_point(ray, world) else { return };
+                // Grabbed above the horizon or far out, it keeps to the first point that there is.
+                let offset = offset.unwrap_or_else(|| position - ground_point(old, world).unwrap_or(point));
+                self.way = Way::Ground(Some(offset));
+                Vec3::new(point.x + offset.x, position.y, point.z + offset.z)
+            }
+            Way::Lift(offset) => Vec3::new(position.x, height_at(ray, position) + offset, position.z),
+            Way::Turn => return,
+        };
+        self.place(Transform { position: to, ..self.transform }, now);
     }
+}
+
+/// The height at which a ray passes an upright axis: where it is as far away as the axis.
+fn height_at(ray: &Ray, axis: Vec3) -> f32 {
+    let level = |v: Vec3| Vec2::new(v.x, v.z);
+    let along = level(ray.direction).length();
+    let away = level(axis - ray.origin).length();
+    ray.origin.y + if along > 1e-3 { ray.direction.y / along * away } else { 0.0 }
+}
+
+fn ground_point(ray: &Ray, world: &impl World) -> Option<Vec3> {
+    ray.ground(world.ground_y(), MAX_REACH_M)
+}
+
+fn ndc(pointer: Vec2, size: Vec2) -> Vec2 {
+    let unit = pointer / size;
+    Vec2::new(unit.x * 2.0 - 1.0, 1.0 - unit.y * 2.0)
 }
 
 #[cfg(test)]
 mod tests {
-    use mr360_protocol::light::LightFrame;
+    use mr360_protocol::scene::{Geometry, LibraryItem, Shape};
 
     use super::*;
-    use crate::frame_loop::{Drawn, FrameError, Target};
-    use crate::sync::Paired;
-
-    /// A ground at y = −1.6 and one object in the middle of the lower half of the image.
-    struct Ground;
+    use crate::scene::mesh::Bounds;
+    use crate::scene::pick::{Target, nearest};
 
     const CUBE: ObjectId = ObjectId(7);
+    const FRAME_US: u64 = 16_667;
+    const BOX: Bounds = Bounds { min: Vec3::splat(-0.5), max: Vec3::splat(0.5) };
 
-    impl Stage for Ground {
-        fn prepare(&mut self) -> Result<bool, FrameError> {
-            Ok(false)
+    /// A ground at y = −1.6 and one cube in the middle of the lower half of the image.
+    struct Ground {
+        library: Vec<LibraryItem>,
+    }
+
+    fn cube() -> Transform {
+        Transform { position: Vec3::new(0.0, -1.1, -4.5), ..Transform::default() }
+    }
+
+    impl World for Ground {
+        fn pick(&self, ray: &Ray) -> Option<(ObjectId, Vec3)> {
+            nearest(ray, [Target { id: CUBE, transform: cube(), bounds: BOX, shape: Some(Shape::Cube) }])
         }
-        fn update(&mut self, _paired: Paired) -> Result<(), FrameError> {
-            Ok(())
+        fn transform(&self, _object: ObjectId) -> Option<Transform> {
+            Some(cube())
         }
-        fn relight(&mut self, _light: &LightFrame) -> bool {
-            false
+        fn object_bounds(&self, _object: ObjectId) -> Option<Bounds> {
+            Some(BOX)
         }
-        fn draw(&mut self, _camera: &Camera, _target: &Target) -> Result<Drawn, FrameError> {
-            Ok(Drawn::default())
+        fn bounds(&self, _geometry: &Geometry) -> Option<Bounds> {
+            Some(BOX)
         }
-        fn device_lost(&self) -> Option<String> {
-            None
+        fn library(&self) -> &[LibraryItem] {
+            &self.library
         }
-        fn pick(&self, _camera: &Camera, ndc: Vec2, _aspect: f32) -> Option<ObjectId> {
-            (ndc.distance(Vec2::new(0.0, -0.5)) < 0.1).then_some(CUBE)
-        }
-        fn ground_point(&self, camera: &Camera, ndc: Vec2, aspect: f32) -> Option<Vec3> {
-            let ray = camera.ray(ndc, aspect);
-            (ray.y < 0.0).then(|| ray * (-1.6 / ray.y))
-        }
-        fn position(&self, _object: ObjectId) -> Option<Vec3> {
-            Some(Vec3::new(0.0, -1.1, -4.5))
+        fn ground_y(&self) -> f32 {
+            -1.6
         }
     }
 
-    fn controls() -> Controls {
-        let mut controls = Controls::new();
-        controls.resized(800, 400);
-        controls
+    /// Controls with the pointer on the cube.
+    struct Stand {
+        controls: Controls,
+        world: Ground,
+        now: ClientTime,
+    }
+
+    const ON_CUBE: Vec2 = Vec2::new(400.0, 265.0);
+
+    impl Stand {
+        fn new() -> Self {
+            let mut controls = Controls::new();
+            controls.resized(800, 400);
+            let mut stand = Self { controls, world: Ground { library: LibraryItem::shapes() }, now: ClientTime(1_000_000) };
+            stand.to(ON_CUBE);
+            stand
+        }
+
+        fn to(&mut self, pointer: Vec2) {
+            self.now.0 += FRAME_US;
+            self.controls.moved(pointer, Some(&self.world), self.now);
+        }
+
+        fn press(&mut self) {
+            self.controls.pressed(&self.world, self.now);
+        }
+
+        fn release(&mut self) {
+            self.controls.released(self.now);
+        }
+
+        fn ground(&self) -> Vec3 {
+            ground_point(&self.controls.ray(), &self.world).unwrap()
+        }
     }
 
     #[test]
     fn the_panorama_follows_the_pointer() {
-        let mut controls = controls();
-        let point = controls.camera().ray(Vec2::ZERO, 2.0);
-        controls.moved(Vec2::new(400.0, 200.0), None::<&Ground>);
-        controls.pressed(&Ground);
-        controls.moved(Vec2::new(410.0, 204.0), Some(&Ground));
+        let mut stand = Stand::new();
+        stand.to(Vec2::new(400.0, 20.0));
+        let point = stand.controls.camera().ray(Vec2::ZERO, 2.0);
+        stand.press();
+        stand.to(Vec2::new(410.0, 24.0));
         // What was in the middle is now to the right and below it.
-        let seen = controls.camera().view_from_world().transform_vector3(point);
+        let seen = stand.controls.camera().view_from_world().transform_vector3(point);
         assert!(seen.x > 0.0 && seen.y < 0.0, "{seen}");
-        controls.released();
-        let camera = controls.camera();
-        controls.moved(Vec2::new(0.0, 0.0), Some(&Ground));
-        assert_eq!(controls.camera(), camera);
-        assert_eq!(controls.take_actions(), []);
+        stand.release();
+        let camera = stand.controls.camera();
+        stand.to(Vec2::ZERO);
+        assert_eq!(stand.controls.camera(), camera);
+        assert_eq!(stand.controls.take_actions(), []);
     }
 
     #[test]
-    fn pitch_and_field_of_view_stay_in_range() {
-        let mut controls = controls();
-        controls.pressed(&Ground);
-        controls.moved(Vec2::new(0.0, 1e6), Some(&Ground));
-        let up = controls.camera().ray(Vec2::ZERO, 1.0);
+    fn pitch_height_and_field_of_view_stay_in_range() {
+        let mut stand = Stand::new();
+        stand.to(Vec2::new(400.0, 20.0));
+        stand.press();
+        stand.to(Vec2::new(0.0, 1e6));
+        let up = stand.controls.camera().ray(Vec2::ZERO, 1.0);
         assert!((up.y - MAX_PITCH_RAD.sin()).abs() < 1e-5);
+        stand.release();
         for (notches, deg) in [(1e9, 30.0), (-1e9, 110.0), (f32::NAN, 110.0)] {
-            (0..4).for_each(|_| controls.zoomed(notches));
-            assert!((controls.camera().fov_y_rad.to_degrees() - deg).abs() < 1e-3);
+            (0..4).for_each(|_| stand.controls.wheel(notches, stand.now));
+            let fov = crate::camera::FieldOfView::Vertical(stand.controls.fov_y_rad);
+            assert_eq!(stand.controls.camera().fov, fov);
+            assert!((stand.controls.fov_y_rad.to_degrees() - deg).abs() < 1e-3);
         }
-        controls.reset();
-        assert_eq!(controls.camera(), Camera::looking(0.0, 0.0, START_FOV_DEG.to_radians()));
+        (0..3).for_each(|_| stand.controls.raise(true));
+        assert!((stand.controls.camera().position.y - 0.3).abs() < 1e-6);
+        (0..300).for_each(|_| stand.controls.raise(false));
+        assert_eq!(stand.controls.camera().position.y, -MAX_HEIGHT_M);
+        stand.controls.reset();
+        assert_eq!(stand.controls.camera(), Camera::looking(0.0, 0.0, START_FOV_DEG.to_radians()));
     }
 
     #[test]
     fn an_object_keeps_its_height_and_its_distance_to_the_pointer() {
-        let mut controls = controls();
-        controls.moved(Vec2::new(400.0, 300.0), None::<&Ground>);
-        let grabbed = controls.ground(&Ground).unwrap();
-        controls.pressed(&Ground);
-        controls.moved(Vec2::new(420.0, 310.0), Some(&Ground));
-        controls.moved(Vec2::new(440.0, 320.0), Some(&Ground));
-        let target = controls.ground(&Ground).unwrap();
-        let expected = Vec3::new(0.0, -1.1, -4.5) + (target - grabbed) * Vec3::new(1.0, 0.0, 1.0);
-        let actions = controls.take_actions();
-        let [UserAction::Grab(CUBE), UserAction::Move(CUBE, position)] = actions[..] else { panic!("{actions:?}") };
-        assert!((position - expected).length() < 1e-5);
-        // Above the horizon there is no ground: it stays.
-        controls.moved(Vec2::new(440.0, 20.0), Some(&Ground));
-        controls.released();
-        assert_eq!(controls.take_actions(), [UserAction::Release(CUBE)]);
+        let mut stand = Stand::new();
+        let grabbed = stand.ground();
+        stand.press();
+        stand.to(ON_CUBE + Vec2::new(20.0, 10.0));
+        stand.to(ON_CUBE + Vec2::new(40.0, 20.0));
+        let expected = cube().position + (stand.ground() - grabbed) * Vec3::new(1.0, 0.0, 1.0);
+        let actions = stand.controls.take_actions();
+        let [Action::Grab(CUBE), Action::Move(CUBE, to)] = actions[..] else { panic!("{actions:?}") };
+        assert!((to.position - expected).length() < 1e-5);
+        // Above the horizon there is no ground: it stays. Let go of after a rest it is not thrown.
+        stand.to(Vec2::new(440.0, 20.0));
+        stand.now.0 += 500_000;
+        stand.release();
+        assert_eq!(stand.controls.take_actions(), [Action::Release(CUBE, Motion::STILL)]);
+    }
+
+    #[test]
+    fn let_go_of_in_motion_it_is_thrown_the_way_it_went() {
+        let mut stand = Stand::new();
+        stand.press();
+        (1..=10u8).for_each(|step| stand.to(ON_CUBE + Vec2::X * 8.0 * f32::from(step)));
+        stand.release();
+        let actions = stand.controls.take_actions();
+        let Some(Action::Release(CUBE, motion)) = actions.last() else { panic!("{actions:?}") };
+        // Eight pixels a frame at the distance of the ground under the pointer.
+        let metres = (2.0 * (START_FOV_DEG.to_radians() * 0.5).tan()) / 400.0 * 8.0 * -stand.ground().z;
+        let expected = metres / (FRAME_US as f32 * 1e-6);
+        assert!((motion.linear.x / expected - 1.0).abs() < 0.02 && motion.linear.y == 0.0, "{motion:?}, not {expected}");
+    }
+
+    #[test]
+    fn shift_lifts_the_wheel_scales_and_the_right_button_turns() {
+        let mut stand = Stand::new();
+        stand.press();
+        stand.controls.set_lifting(true);
+        stand.to(ON_CUBE - Vec2::Y * 50.0);
+        let [Action::Grab(CUBE), Action::Move(CUBE, lifted)] = stand.controls.take_actions()[..] else { panic!() };
+        let metres = (2.0 * (START_FOV_DEG.to_radians() * 0.5).tan()) / 400.0 * 50.0 * 4.5;
+        assert!((lifted.position - cube().position - Vec3::Y * metres).length() < 1e-3, "{lifted:?}");
+        // Shift up again: from there over the ground, without a jump.
+        stand.controls.set_lifting(false);
+        stand.to(ON_CUBE - Vec2::Y * 50.0 + Vec2::X * 0.01);
+        let [Action::Move(CUBE, after)] = stand.controls.take_actions()[..] else { panic!() };
+        assert!((after.position - lifted.position).length() < 0.01, "{after:?}");
+        stand.controls.wheel(2.0, stand.now);
+        let [Action::Move(CUBE, larger)] = stand.controls.take_actions()[..] else { panic!() };
+        assert!((larger.scale - Vec3::splat(ZOOM * ZOOM)).length() < 1e-5);
+        stand.controls.turn_pressed(&stand.world, stand.now);
+        let pointer = stand.controls.pointer;
+        stand.to(pointer + Vec2::X * 100.0);
+        let [Action::Move(CUBE, turned)] = stand.controls.take_actions()[..] else { panic!() };
+        assert!((turned.rotation * Vec3::Z).distance(Quat::from_rotation_y(TURN_RAD / 4.0) * Vec3::Z) < 1e-5);
+        assert_eq!(turned.position, larger.position);
+        stand.controls.turn_released(true, stand.now);
+        assert_eq!(stand.controls.take_actions(), [], "the left button still holds it");
+        stand.release();
+        // The right button alone takes and lets go, too.
+        stand.controls.take_actions();
+        stand.to(ON_CUBE);
+        stand.controls.turn_pressed(&stand.world, stand.now);
+        stand.to(ON_CUBE + Vec2::Y * 40.0);
+        stand.now.0 += 500_000;
+        stand.controls.turn_released(false, stand.now);
+        let actions = stand.controls.take_actions();
+        assert!(matches!(actions[..], [Action::Grab(CUBE), Action::Move(..), Action::Release(CUBE, Motion::STILL)]), "{actions:?}");
+    }
+
+    #[test]
+    fn keys_turn_snap_and_remove_what_is_under_the_pointer() {
+        let mut stand = Stand::new();
+        stand.controls.turn(true, &stand.world, stand.now);
+        let actions = stand.controls.take_actions();
+        let [Action::Grab(CUBE), Action::Move(CUBE, turned), Action::Release(CUBE, Motion::STILL)] = actions[..] else {
+            panic!("{actions:?}")
+        };
+        assert!((turned.rotation.to_axis_angle().1 - KEY_TURN_RAD).abs() < 1e-4);
+        stand.controls.snap(&stand.world, stand.now);
+        let actions = stand.controls.take_actions();
+        let [Action::Grab(CUBE), Action::Move(CUBE, stands), Action::Release(CUBE, Motion::STILL)] = actions[..] else {
+            panic!("{actions:?}")
+        };
+        assert!((stands.position.y - (-1.1)).abs() < 2e-3);
+        // Held, it is stood and let go of.
+        stand.press();
+        stand.controls.snap(&stand.world, stand.now);
+        stand.release();
+        assert!(matches!(stand.controls.take_actions()[..], [Action::Grab(CUBE), Action::Move(..), Action::Release(CUBE, Motion::STILL)]));
+        stand.press();
+        stand.controls.remove(&stand.world);
+        stand.release();
+        assert_eq!(stand.controls.take_actions(), [Action::Grab(CUBE), Action::Remove(CUBE)]);
+        stand.controls.remove(&stand.world);
+        assert_eq!(stand.controls.take_actions(), [Action::Remove(CUBE)]);
+        stand.to(Vec2::new(400.0, 20.0));
+        stand.controls.remove(&stand.world);
+        stand.controls.snap(&stand.world, stand.now);
+        assert_eq!(stand.controls.take_actions(), []);
+    }
+
+    #[test]
+    fn an_item_is_chosen_shown_and_put_where_the_pointer_is() {
+        let mut stand = Stand::new();
+        stand.to(Vec2::new(100.0, 320.0));
+        assert_eq!(stand.controls.drawn(&stand.world), []);
+        stand.controls.choose(None, &stand.world);
+        stand.controls.choose(Some(1), &stand.world);
+        let ghost = stand.controls.drawn(&stand.world).remove(0);
+        assert_eq!(ghost.geometry, stand.world.library[1].geometry);
+        let foot = ghost.transform.position - Vec3::Y * 0.15;
+        assert!(foot.distance(stand.ground()) < 2e-3, "{foot}");
+        stand.controls.wheel(1.0, stand.now);
+        stand.press();
+        stand.release();
+        let actions = stand.controls.take_actions();
+        let [Action::Put { item: 1, transform }] = actions[..] else { panic!("{actions:?}") };
+        assert!((transform.scale.x - 0.3 * ZOOM).abs() < 1e-5);
+        // On the cube's upper side.
+        stand.to(Vec2::new(400.0, 235.0));
+        let on_cube = stand.controls.drawn(&stand.world).remove(0).transform.position;
+        assert!((on_cube.y - (-0.6 + 0.15 * ZOOM)).abs() < 3e-3, "{on_cube}");
+        assert!(stand.controls.close_palette() && !stand.controls.close_palette());
+        stand.controls.choose(Some(9), &stand.world);
+        assert_eq!(stand.controls.drawn(&stand.world), []);
     }
 }

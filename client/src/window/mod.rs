@@ -1,5 +1,4 @@
-//! Presents in a window: drag to look around, wheel to zoom, drag an object to move it, F11 for full screen, F1 for what a frame costs,
-//! R to look ahead again, Esc to leave.
+//! Presents in a window, where mouse and keys do what hands do in a headset; [`crate::overlay::CONTROLS`] lists it.
 
 mod controls;
 mod surface;
@@ -10,14 +9,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use glam::Vec2;
+use mr360_protocol::intent::Action;
 use winit::application::ApplicationHandler;
 use winit::dpi::LogicalSize;
 use winit::event::{ElementState, KeyEvent, MouseButton, MouseScrollDelta, StartCause, WindowEvent};
 use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop};
 use winit::keyboard::{KeyCode, PhysicalKey};
 use winit::window::{Fullscreen, Window, WindowId};
-
-pub use self::controls::UserAction;
 
 use self::controls::Controls;
 use self::surface::SurfacePresenter;
@@ -95,7 +93,7 @@ pub fn run<S: Stage>(
     frames: &mut FrameLoop,
     options: &WindowOptions,
     open: &mut Open<'_, S>,
-    act: &mut dyn FnMut(UserAction),
+    act: &mut dyn FnMut(Action),
 ) -> Result<u64, WindowError> {
     require_display(|name| std::env::var_os(name))?;
     let event_loop = EventLoop::new().map_err(|error| WindowError::NoDisplay { detail: error.to_string() })?;
@@ -106,6 +104,7 @@ pub fn run<S: Stage>(
         open,
         act,
         controls: Controls::new(),
+        left_down: false,
         shown: None,
         first_frame,
         begin: Instant::now(),
@@ -139,8 +138,10 @@ struct App<'a, S> {
     frames: &'a mut FrameLoop,
     options: &'a WindowOptions,
     open: &'a mut Open<'a, S>,
-    act: &'a mut dyn FnMut(UserAction),
+    act: &'a mut dyn FnMut(Action),
     controls: Controls,
+    /// The left button.
+    left_down: bool,
     shown: Option<Shown<S>>,
     first_frame: u64,
     begin: Instant,
@@ -185,10 +186,19 @@ impl<S: Stage> App<'_, S> {
         }
     }
 
-    fn turn(&mut self) -> Result<bool, WindowError> {
-        for action in self.controls.take_actions() {
-            (self.act)(action);
+    /// Does what the user did since the last time: shown at once, decided by the server.
+    fn act(&mut self) {
+        let now = self.frames.clock().now();
+        let actions = self.controls.take_actions();
+        if let Some(shown) = &mut self.shown {
+            actions.iter().for_each(|action| shown.stage.predict(action, now));
+            shown.stage.show_local(&self.controls.drawn(&shown.stage));
         }
+        actions.into_iter().for_each(|action| (self.act)(action));
+    }
+
+    fn turn(&mut self) -> Result<bool, WindowError> {
+        self.act();
         let done = self.frames.frames() - self.first_frame;
         let over =
             self.options.frames.is_some_and(|most| done >= most) || self.options.duration.is_some_and(|most| self.begin.elapsed() >= most);
@@ -204,10 +214,8 @@ impl<S: Stage> App<'_, S> {
     }
 
     fn end(&mut self, event_loop: &ActiveEventLoop, outcome: Result<(), WindowError>) {
-        self.controls.released();
-        for action in self.controls.take_actions() {
-            (self.act)(action);
-        }
+        self.controls.released(self.frames.clock().now());
+        self.act();
         if self.outcome.is_ok() {
             self.outcome = outcome;
         }
@@ -220,24 +228,66 @@ impl<S: Stage> App<'_, S> {
     }
 
     fn key(&mut self, event_loop: &ActiveEventLoop, event: &KeyEvent) {
-        if event.state != ElementState::Pressed || event.repeat {
+        let PhysicalKey::Code(code) = event.physical_key else { return };
+        // Held down, these go on.
+        let repeats = matches!(code, KeyCode::KeyQ | KeyCode::KeyE | KeyCode::PageUp | KeyCode::PageDown);
+        if event.state != ElementState::Pressed || (event.repeat && !repeats) {
             return;
         }
-        match event.physical_key {
-            PhysicalKey::Code(KeyCode::Escape) => self.closed_by_user(event_loop),
-            PhysicalKey::Code(KeyCode::KeyR) => self.controls.reset(),
-            PhysicalKey::Code(KeyCode::F1) => {
-                if let Some(shown) = &mut self.shown {
-                    shown.stage.toggle_overlay();
-                    self.frames.redraw();
-                }
+        match code {
+            KeyCode::Escape if !self.controls.close_palette() => self.closed_by_user(event_loop),
+            KeyCode::KeyR => self.controls.reset(),
+            KeyCode::PageUp => self.controls.raise(true),
+            KeyCode::PageDown => self.controls.raise(false),
+            _ => self.key_in_scene(code),
+        }
+    }
+
+    /// Keys that are about what is shown.
+    fn key_in_scene(&mut self, code: KeyCode) {
+        let now = self.frames.clock().now();
+        let Some(Shown { window, stage, .. }) = &mut self.shown else { return };
+        let digit = [KeyCode::Digit1, KeyCode::Digit2, KeyCode::Digit3, KeyCode::Digit4, KeyCode::Digit5]
+            .into_iter()
+            .chain([KeyCode::Digit6, KeyCode::Digit7, KeyCode::Digit8, KeyCode::Digit9])
+            .position(|digit| digit == code);
+        match code {
+            KeyCode::F1 => {
+                stage.toggle_overlay();
+                self.frames.redraw();
             }
-            PhysicalKey::Code(KeyCode::F11) => {
-                if let Some(shown) = &self.shown {
-                    let full = shown.window.fullscreen().is_none().then_some(Fullscreen::Borderless(None));
-                    shown.window.set_fullscreen(full);
-                }
+            KeyCode::F2 => {
+                stage.toggle_controls();
+                self.frames.redraw();
             }
+            KeyCode::F11 => {
+                let full = window.fullscreen().is_none().then_some(Fullscreen::Borderless(None));
+                window.set_fullscreen(full);
+            }
+            KeyCode::Tab => self.controls.choose(None, stage),
+            KeyCode::KeyQ => self.controls.turn(true, stage, now),
+            KeyCode::KeyE => self.controls.turn(false, stage, now),
+            KeyCode::KeyG => self.controls.snap(stage, now),
+            KeyCode::Delete | KeyCode::Backspace => self.controls.remove(stage),
+            _ if digit.is_some() => self.controls.choose(digit, stage),
+            _ => {}
+        }
+    }
+
+    fn button(&mut self, state: ElementState, button: MouseButton) {
+        let now = self.frames.clock().now();
+        let Some(Shown { stage, .. }) = &self.shown else { return };
+        match (button, state) {
+            (MouseButton::Left, ElementState::Pressed) => {
+                self.left_down = true;
+                self.controls.pressed(stage, now);
+            }
+            (MouseButton::Left, ElementState::Released) => {
+                self.left_down = false;
+                self.controls.released(now);
+            }
+            (MouseButton::Right, ElementState::Pressed) => self.controls.turn_pressed(stage, now),
+            (MouseButton::Right, ElementState::Released) => self.controls.turn_released(self.left_down, now),
             _ => {}
         }
     }
@@ -267,22 +317,23 @@ impl<S: Stage> ApplicationHandler for App<'_, S> {
             }
             WindowEvent::RedrawRequested => self.frames.redraw(),
             WindowEvent::KeyboardInput { event, .. } => self.key(event_loop, &event),
+            WindowEvent::ModifiersChanged(modifiers) => self.controls.set_lifting(modifiers.state().shift_key()),
             WindowEvent::CursorMoved { position, .. } => {
-                let to = Vec2::new(position.x as f32, position.y as f32);
-                self.controls.moved(to, self.shown.as_ref().map(|shown| &shown.stage));
+                let (to, now) = (Vec2::new(position.x as f32, position.y as f32), self.frames.clock().now());
+                self.controls.moved(to, self.shown.as_ref().map(|shown| &shown.stage), now);
             }
-            WindowEvent::MouseInput { state: ElementState::Pressed, button: MouseButton::Left, .. } => {
-                if let Some(shown) = &self.shown {
-                    self.controls.pressed(&shown.stage);
-                }
+            WindowEvent::MouseInput { state, button, .. } => self.button(state, button),
+            WindowEvent::Focused(false) => {
+                self.left_down = false;
+                self.controls.released(self.frames.clock().now());
             }
-            WindowEvent::MouseInput { state: ElementState::Released, button: MouseButton::Left, .. } | WindowEvent::Focused(false) => {
-                self.controls.released();
+            WindowEvent::MouseWheel { delta, .. } => {
+                let notches = match delta {
+                    MouseScrollDelta::LineDelta(_, lines) => lines,
+                    MouseScrollDelta::PixelDelta(pixels) => (pixels.y / PIXELS_PER_NOTCH) as f32,
+                };
+                self.controls.wheel(notches, self.frames.clock().now());
             }
-            WindowEvent::MouseWheel { delta, .. } => self.controls.zoomed(match delta {
-                MouseScrollDelta::LineDelta(_, lines) => lines,
-                MouseScrollDelta::PixelDelta(pixels) => (pixels.y / PIXELS_PER_NOTCH) as f32,
-            }),
             _ => {}
         }
     }

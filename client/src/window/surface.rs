@@ -3,7 +3,8 @@
 use mr360_protocol::clock::ClientTime;
 
 use super::WindowGraphics;
-use crate::frame_loop::{FrameError, PictureTime, Presenter, Target};
+use crate::camera::Camera;
+use crate::frame_loop::{FrameError, PictureTime, Presented, Presenter, Shot, Target};
 
 /// Formats by preference: the renderer writes linear light, the attachment encodes it.
 const FORMATS: [wgpu::TextureFormat; 2] = [wgpu::TextureFormat::Bgra8UnormSrgb, wgpu::TextureFormat::Rgba8UnormSrgb];
@@ -39,7 +40,7 @@ impl SurfacePresenter {
 
     /// Black until the first picture: some window systems show what was there before, some show no window at all.
     fn clear(&mut self) -> Result<(), FrameError> {
-        let Some(target) = self.acquire()? else { return Ok(()) };
+        let Some(target) = self.next()? else { return Ok(()) };
         let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("black window") });
         drop(encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("black window"),
@@ -70,10 +71,9 @@ impl SurfacePresenter {
             self.surface.configure(&self.device, &self.configuration);
         }
     }
-}
 
-impl Presenter for SurfacePresenter {
-    fn acquire(&mut self) -> Result<Option<Target>, FrameError> {
+    /// The window's next image, or `None` when it has none just now.
+    fn next(&mut self) -> Result<Option<Target>, FrameError> {
         use wgpu::CurrentSurfaceTexture as Current;
         let texture = match self.surface.get_current_texture() {
             Current::Success(texture) | Current::Suboptimal(texture) => texture,
@@ -93,11 +93,17 @@ impl Presenter for SurfacePresenter {
         let view = texture.texture.create_view(&wgpu::TextureViewDescriptor::default());
         let (width, height) = (texture.texture.width(), texture.texture.height());
         self.acquired = Some(texture);
-        Ok(Some(Target { view, format: self.configuration.format, width, height }))
+        Ok(Some(Target { view, format: self.configuration.format, depth: None, width, height }))
+    }
+}
+
+impl Presenter for SurfacePresenter {
+    fn acquire(&mut self, camera: &Camera) -> Result<Option<Vec<Shot>>, FrameError> {
+        Ok(self.next()?.map(|target| vec![Shot { camera: *camera, target }]))
     }
 
-    fn present(&mut self, _shown: PictureTime, _now: ClientTime) -> Result<(), FrameError> {
+    fn present(&mut self, _shown: PictureTime, _now: ClientTime) -> Result<Presented, FrameError> {
         self.present_acquired();
-        Ok(())
+        Ok(Presented::default())
     }
 }

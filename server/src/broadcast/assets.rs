@@ -65,6 +65,12 @@ impl Assets {
         Ok(id)
     }
 
+    /// What an asset holds.
+    #[must_use]
+    pub fn bytes(&self, id: AssetId) -> Option<Bytes> {
+        self.by_id.get(&id).cloned()
+    }
+
     /// One track an asset. They must be kept: the group of a track that has ended ages out of the cache.
     pub(super) fn publish(&self, broadcast: &moq_net::broadcast::Producer) -> Result<Vec<moq_net::track::Producer>, moq_net::Error> {
         self.by_id

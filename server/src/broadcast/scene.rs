@@ -1,5 +1,6 @@
 //! The scene track: groups of one snapshot and the deltas after it.
 
+use mr360_protocol::clock::ServerTime;
 use mr360_protocol::codec::Message;
 use mr360_protocol::scene::{Change, Scene, SceneMessage};
 
@@ -19,14 +20,14 @@ impl SceneTrack {
         Self { track, group: None, deltas: 0 }
     }
 
-    /// Publishes the changes that made `scene`; as a snapshot where a new group is due.
+    /// Publishes the changes that made `scene` at `at`; as a snapshot where a new group is due.
     ///
     /// # Errors
     /// When the scene breaks its own bounds or the track is closed.
-    pub fn publish(&mut self, scene: &Scene, changes: Vec<Change>) -> anyhow::Result<()> {
+    pub fn publish(&mut self, scene: &Scene, changes: Vec<Change>, at: ServerTime) -> anyhow::Result<()> {
         let now = moq_net::Timestamp::now();
         if let Some(group) = self.group.as_mut().filter(|_| self.deltas < DELTAS_PER_GROUP) {
-            group.write_frame(now, SceneMessage::Delta { revision: scene.revision, changes }.to_wire()?)?;
+            group.write_frame(now, SceneMessage::Delta { revision: scene.revision, at_us: at.0, changes }.to_wire()?)?;
             self.deltas += 1;
             return Ok(());
         }

@@ -10,7 +10,6 @@ use std::time::Duration;
 
 use anyhow::Context;
 use mr360_protocol::failure::Failure;
-use mr360_protocol::scene::Scene;
 use mr360_protocol::scene_file::SceneFile;
 use mr360_protocol::stop::asked_to_stop;
 use mr360_protocol::transport;
@@ -18,7 +17,8 @@ use tokio::sync::oneshot;
 
 use crate::broadcast::{Assets, Broadcast};
 use crate::ingest::{self, IngestHandle, ServerClock};
-use crate::session;
+use crate::physics::Forms;
+use crate::session::{self, Opening};
 use crate::stats::Stats;
 use args::Settings;
 use doors::{Doors, Open};
@@ -59,13 +59,13 @@ async fn start(args: ServeArgs) -> anyhow::Result<OnAir> {
         None => Stats::new(None)?,
     };
     let doors = Doors::prepare(&settings)?;
-    let (scene, assets) = load_scene(&settings)?;
+    let (opening, assets) = load_scene(&settings)?;
 
     let origin = transport::origin();
     let method = settings.method.make();
     let mut broadcast = Broadcast::create(&origin, &settings.room, method.name())?;
     broadcast.publish_assets(&assets)?;
-    let session = tokio::spawn(session::run(scene, broadcast.scene()?, origin.consume(), settings.room.clone()));
+    let session = tokio::spawn(session::run(opening, broadcast.scene()?, origin.consume(), settings.room.clone(), clock));
 
     let (path, format) = DataPath::new(broadcast.media(), broadcast.light()?, method, stats.clone(), clock);
     let config = settings.ingest.clone();
@@ -110,13 +110,16 @@ impl OnAir {
 }
 
 /// The scene of `--scene` with its models read in, or an empty one.
-fn load_scene(settings: &Settings) -> anyhow::Result<(Scene, Assets)> {
+fn load_scene(settings: &Settings) -> anyhow::Result<(Opening, Assets)> {
     let mut assets = Assets::default();
-    let scene = match &settings.scene {
-        Some(file) => SceneFile::load(file)?.resolve(|model| assets.add(model))?,
-        None => Scene::default(),
-    };
-    Ok((scene, assets))
+    let mut opening = Opening::default();
+    if let Some(path) = &settings.scene {
+        let file = SceneFile::load(path)?;
+        opening.scene = file.resolve(|model| assets.add(model))?;
+        (opening.fixed_objects, opening.fixed_items) = (file.fixed_objects(), file.fixed_items());
+    }
+    opening.forms = Forms::read(&opening.scene, |id| assets.bytes(id));
+    Ok((opening, assets))
 }
 
 async fn finished(ingest: &IngestHandle) {

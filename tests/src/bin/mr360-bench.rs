@@ -6,7 +6,7 @@ use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use mr360_protocol::failure::{self, Failure};
-use mr360_tests::{figures, lighting, network, render};
+use mr360_tests::{figures, headset, lighting, network, render};
 
 /// The demo's scene.
 const SCENE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../deploy/demo-scene/SCENE.toml");
@@ -23,10 +23,12 @@ struct Cli {
 enum Bench {
     /// Light: accuracy against time of every method on HDR panoramas; speed on one live frame; sweep of the working resolution; stability over time; steps and share of one core for large frames of a clip.
     Lighting(Lighting),
-    /// The demo's scene in a viewer beside its server; pictures against path-traced truth and three.js; shadows against path-traced visibility; growth of time.
+    /// The demo's scene in a viewer beside its server; pictures against path-traced truth and three.js; shadows against path-traced visibility; time against error; growth of time; a race against Bevy.
     Render(Render),
     /// One server and N headless viewers: age of light and video, the server's CPU and memory, bytes per track.
     Network(Network),
+    /// A headset's frames while datagrams are lost, the server stands still or frames are large; what a headset of today would need.
+    Headset(Headset),
     /// Every bench, with its defaults.
     All {
         /// Folder for the results; made where it is missing.
@@ -104,8 +106,8 @@ struct Render {
     /// Folder for the results; made where it is missing.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// What is measured; everything unless given.
-    #[arg(long, value_enum, value_delimiter = ',', default_value = "viewers,truth,shadows,growth")]
+    /// What is measured; everything but the race unless given.
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "viewers,truth,shadows,methods,growth")]
     part: Vec<RenderPart>,
     /// What the server broadcasts to viewers.
     #[arg(long, default_value = "synthetic:plaza?size=1280x640", value_name = "URL|FILE|synthetic:NAME")]
@@ -131,6 +133,9 @@ struct Render {
     /// The browser that three.js draws in.
     #[arg(long, default_value = "chromium", value_name = "PATH")]
     chromium: PathBuf,
+    /// Bevy's side of the race: what `cargo build` makes in tests/peers/bevy_scene.
+    #[arg(long, value_name = "PATH", required_if_eq("part", "bevy"))]
+    bevy: Option<PathBuf>,
 }
 
 /// What `render` measures.
@@ -142,8 +147,12 @@ enum RenderPart {
     Truth,
     /// Shadows against path-traced visibility.
     Shadows,
-    /// Time of every pass over lights, objects, triangles, roughness and size.
+    /// Time against error of every way to look up reflections in every tier.
+    Methods,
+    /// Time of every pass over lights, objects, triangles, roughness, size and views.
     Growth,
+    /// Race against Bevy; wants --bevy.
+    Bevy,
 }
 
 impl From<RenderPart> for render::Part {
@@ -152,7 +161,9 @@ impl From<RenderPart> for render::Part {
             RenderPart::Viewers => Self::Viewers,
             RenderPart::Truth => Self::Truth,
             RenderPart::Shadows => Self::Shadows,
+            RenderPart::Methods => Self::Methods,
             RenderPart::Growth => Self::Growth,
+            RenderPart::Bevy => Self::Bevy,
         }
     }
 }
@@ -176,12 +187,32 @@ struct Network {
     size: String,
 }
 
+#[derive(Args)]
+struct Headset {
+    /// Folder for the results; made where it is missing.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Frames of each run.
+    #[arg(long, default_value_t = 300, value_name = "N", value_parser = clap::value_parser!(u32).range(61..=100_000))]
+    frames: u32,
+    /// What the server broadcasts.
+    #[arg(long, default_value = "synthetic:testcard?size=1280x640", value_name = "URL|FILE|synthetic:NAME")]
+    source: String,
+    /// What it broadcasts where the decoder is fed large frames.
+    #[arg(long, default_value = "synthetic:testcard?size=4096x2048", value_name = "URL|FILE|synthetic:NAME")]
+    large: String,
+    /// What stands in it.
+    #[arg(long, default_value = SCENE, hide_default_value = true, value_name = "SCENE.toml")]
+    scene: PathBuf,
+}
+
 impl Bench {
     fn out(&self) -> &Path {
         match self {
             Self::Lighting(Lighting { out, .. })
             | Self::Render(Render { out, .. })
             | Self::Network(Network { out, .. })
+            | Self::Headset(Headset { out, .. })
             | Self::All { out } => out,
         }
     }
@@ -199,14 +230,17 @@ fn run(bench: Bench) -> anyhow::Result<()> {
             let parts = part.into_iter().map(Into::into).collect();
             lighting::run(&lighting::Options { parts, panoramas, rounds, python, three, node, size, frames, method, out })
         }
-        Bench::Render(Render { out, part, source, scene, size, frames, panoramas, three, node, chromium }) => {
+        Bench::Render(Render { out, part, source, scene, size, frames, panoramas, three, node, chromium, bevy }) => {
             let parts = part.into_iter().map(Into::into).collect();
-            render::run(&render::Options { parts, source, scene, size, frames, panoramas, three, node, chromium, out })
+            render::run(&render::Options { parts, source, scene, size, frames, panoramas, three, node, chromium, bevy, out })
         }
         Bench::Network(Network { out, viewers, seconds, source, size }) => {
             network::run(&network::Options { viewers, seconds, source, size, out })
         }
-        Bench::All { out } => ["lighting", "render", "network"].iter().try_for_each(|name| run(with_defaults(name, &out)?)),
+        Bench::Headset(Headset { out, frames, source, large, scene }) => {
+            headset::run(&headset::Options { frames, source, large, scene, out })
+        }
+        Bench::All { out } => ["lighting", "render", "network", "headset"].iter().try_for_each(|name| run(with_defaults(name, &out)?)),
     }
 }
 
@@ -228,7 +262,7 @@ mod tests {
 
     #[test]
     fn every_bench_runs_with_its_defaults() {
-        for name in ["lighting", "render", "network"] {
+        for name in ["lighting", "render", "network", "headset"] {
             assert!(with_defaults(name, Path::new("results")).is_ok(), "{name}");
         }
         assert!(parse_size("3841x1920").is_err() && parse_size("3840").is_err());

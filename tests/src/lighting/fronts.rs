@@ -7,7 +7,7 @@ use super::race::{Row, SWEPT};
 use super::radiance_map::Half;
 use super::report::Names;
 use super::{opencv, three};
-use crate::chart::{Axis, Chart, Mark, Scale, Series};
+use crate::chart::{Axis, Chart, Mark, Scale, Series, pareto_front};
 use crate::samples::percentile;
 
 /// File of an exposure's chart.
@@ -63,32 +63,12 @@ pub(super) fn chart(rows: &[Row], exposure: Exposure) -> Result<String> {
     chart.svg()
 }
 
-/// The points that no other one beats in one of time and error without losing in the other, fastest first.
-fn pareto_front(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
-    let mut sorted = points.to_vec();
-    sorted.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
-    let mut best = f64::INFINITY;
-    sorted.retain(|(_, error)| {
-        let better = *error < best;
-        best = best.min(*error);
-        better
-    });
-    sorted
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::lighting::oracle::Oracle;
     use crate::lighting::report::overview;
     use crate::lighting::report::tests::{row, rows};
-
-    #[test]
-    fn the_front_holds_what_nothing_beats() {
-        let points = [(3.0, 1.0), (1.0, 5.0), (2.0, 5.0), (2.0, 4.0), (4.0, 1.0), (1.0, 6.0)];
-        assert_eq!(pareto_front(&points), [(1.0, 5.0), (2.0, 4.0), (3.0, 1.0)]);
-        assert_eq!(pareto_front(&[]), []);
-    }
 
     #[test]
     fn the_chart_shows_the_held_out_half_and_the_front() {

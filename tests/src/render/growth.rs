@@ -1,16 +1,17 @@
-//! How the GPU's time grows with lights, objects, triangles, roughness and pixels: one picture of a made scene at each step, timed pass by pass by
+//! How the GPU's time grows with lights, objects, triangles, roughness, pixels and views: one picture of a made scene at each step, timed pass by pass by
 //! `mr360-client render --passes`, with fitted exponents.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result};
 use image::RgbImage;
 
 use super::Options;
-use super::programs::{View, finish, render};
+use super::programs::{Passes, View, finish, load_passes, render};
 use crate::chart::{Axis, Chart, Mark, Scale, Series, number, stack};
 use crate::figures::save;
+use crate::models::ball;
 use crate::sandbox::Sandbox;
 use crate::table::Table;
 
@@ -23,10 +24,12 @@ struct Shown {
     triangles: usize,
     roughness: f64,
     size: (u32, u32),
+    /// Drawn in one frame.
+    views: usize,
 }
 
 /// What all sweeps start from.
-const BASE: Shown = Shown { lights: 1, objects: 20, triangles: 0, roughness: 0.3, size: (640, 360) };
+const BASE: Shown = Shown { lights: 1, objects: 20, triangles: 0, roughness: 0.3, size: (640, 360), views: 1 };
 
 /// One thing varied.
 struct Sweep {
@@ -34,9 +37,6 @@ struct Sweep {
     scale: Scale,
     steps: Vec<(f64, Shown)>,
 }
-
-/// GPU times of a picture, milliseconds.
-type Passes = Vec<(String, f64)>;
 
 /// Times of a sweep.
 struct Timed {
@@ -79,6 +79,7 @@ fn sweeps() -> Vec<Sweep> {
     let triangles = with(&[1e3, 1e4, 1e5, 3e5, 1e6], &|shown, n| shown.triangles = n as usize);
     let roughness = with(&[0.0, 0.1, 0.25, 0.5, 0.75, 1.0], &|shown, n| shown.roughness = n);
     let sizes = [(320, 180), (640, 360), (960, 540), (1280, 720), (1920, 1080)];
+    let views = with(&[1.0, 2.0, 3.0, 4.0], &|shown, n| shown.views = n as usize);
     let pixels = sizes.map(|size: (u32, u32)| (f64::from(size.0 * size.1), Shown { size, ..BASE }));
     vec![
         Sweep { name: "lights", scale: Scale::Linear, steps: lights },
@@ -86,29 +87,27 @@ fn sweeps() -> Vec<Sweep> {
         Sweep { name: "triangles", scale: Scale::Log, steps: triangles },
         Sweep { name: "roughness", scale: Scale::Linear, steps: roughness },
         Sweep { name: "pixels", scale: Scale::Log, steps: pixels.to_vec() },
+        Sweep { name: "views", scale: Scale::Linear, steps: views },
     ]
 }
 
 fn time(sandbox: &Sandbox, panorama: &Path, shown: Shown) -> Result<Passes> {
     let (scene, light, times) = (sandbox.path("SCENE.toml"), sandbox.path("light.json"), sandbox.path("passes.csv"));
     if shown.triangles > 0 {
-        std::fs::write(sandbox.path("ball.glb"), ball(shown.triangles)?)?;
+        std::fs::write(sandbox.path("ball.glb"), ball(rings(shown.triangles)).finish()?)?;
     }
     std::fs::write(&scene, scene_of(shown))?;
     std::fs::write(&light, light_of(shown.lights))?;
     let view = View { size: shown.size, fov_y_deg: 45.0, pitch_deg: -14.0 };
     let out: PathBuf = sandbox.path("picture.png");
-    finish(render(sandbox, panorama, &scene, &light, view)?.arg("--out").arg(out).arg("--passes").arg(&times))?;
-    parse(&std::fs::read_to_string(&times).with_context(|| times.display().to_string())?)
+    let mut command = render(sandbox, panorama, &scene, &light, view)?;
+    finish(command.arg("--out").arg(out).args(["--views", &shown.views.to_string(), "--passes"]).arg(&times))?;
+    load_passes(&times)
 }
 
-/// What `--passes` writes.
-fn parse(text: &str) -> Result<Passes> {
-    let mut lines = text.lines();
-    ensure!(lines.next() == Some("pass,gpu_ms"), "--passes wrote another head: {text}");
-    lines
-        .map(|line| line.rsplit_once(',').and_then(|(name, ms)| Some((name.to_owned(), ms.parse().ok()?))).with_context(|| line.to_owned()))
-        .collect()
+/// Of a ball of about so many triangles.
+fn rings(triangles: usize) -> u32 {
+    (triangles as f64 / 4.0).sqrt().round() as u32
 }
 
 /// Balls in rows on the ground before the camera, all in sight; or one model.
@@ -139,48 +138,6 @@ fn light_of(count: usize) -> String {
         serde_json::json!({ "id": at, "direction": direction.to_array(), "irradiance": irradiance, "solid_angle_sr": 1e-3 })
     };
     serde_json::json!({ "sh": sh, "lights": (0..count).map(lamp).collect::<Vec<_>>() }).to_string()
-}
-
-/// A ball one metre across of about this many triangles, as .glb.
-fn ball(triangles: usize) -> Result<Vec<u8>> {
-    let rows = ((triangles as f64 / 4.0).sqrt().round() as u32).max(2);
-    let columns = rows * 2;
-    let mut blob = Vec::new();
-    let corners = (0..=rows).flat_map(|row| (0..=columns).map(move |column| (row, column)));
-    let normals: Vec<glam::Vec3> = corners
-        .map(|(row, column)| {
-            let (polar, around) = (row as f32 / rows as f32 * std::f32::consts::PI, column as f32 / columns as f32 * std::f32::consts::TAU);
-            glam::Vec3::new(polar.sin() * around.sin(), polar.cos(), polar.sin() * around.cos())
-        })
-        .collect();
-    for scale in [0.5, 1.0] {
-        normals.iter().flat_map(|normal| (*normal * scale).to_array()).for_each(|value: f32| blob.extend(value.to_le_bytes()));
-    }
-    let vertex_bytes = blob.len() / 2;
-    for (row, column) in (0..rows).flat_map(|row| (0..columns).map(move |column| (row, column))) {
-        let at = row * (columns + 1) + column;
-        let below = at + columns + 1;
-        [at, below, at + 1, at + 1, below, below + 1].into_iter().for_each(|index| blob.extend(index.to_le_bytes()));
-    }
-    let (vertices, indices) = (normals.len(), rows as usize * columns as usize * 6);
-    let view = |from: usize, length: usize| serde_json::json!({ "buffer": 0, "byteOffset": from, "byteLength": length });
-    let json = serde_json::json!({
-        "asset": { "version": "2.0" }, "scene": 0, "scenes": [{ "nodes": [0] }], "nodes": [{ "mesh": 0 }],
-        "meshes": [{ "primitives": [{ "attributes": { "POSITION": 0, "NORMAL": 1 }, "indices": 2 }] }],
-        "buffers": [{ "byteLength": blob.len() }],
-        "bufferViews": [view(0, vertex_bytes), view(vertex_bytes, vertex_bytes), view(2 * vertex_bytes, blob.len() - 2 * vertex_bytes)],
-        "accessors": [
-            { "bufferView": 0, "componentType": 5126, "count": vertices, "type": "VEC3", "min": [-0.5, -0.5, -0.5], "max": [0.5, 0.5, 0.5] },
-            { "bufferView": 1, "componentType": 5126, "count": vertices, "type": "VEC3" },
-            { "bufferView": 2, "componentType": 5125, "count": indices, "type": "SCALAR" },
-        ],
-    });
-    let mut text = json.to_string().into_bytes();
-    text.resize(text.len().next_multiple_of(4), b' ');
-    let length = |bytes: usize| u32::try_from(bytes).map(u32::to_le_bytes).context("the ball is too large for a .glb");
-    let head = [b"glTF".to_vec(), 2_u32.to_le_bytes().to_vec(), length(28 + text.len() + blob.len())?.to_vec()].concat();
-    let chunk = |kind: &[u8], data: &[u8]| -> Result<Vec<u8>> { Ok([&length(data.len())?[..], kind, data].concat()) };
-    Ok([head, chunk(b"JSON", &text)?, chunk(b"BIN\0", &blob)?].concat())
 }
 
 /// `t = base + factor · x^exponent` of least squares, no part negative; `None` for fewer than four points.
@@ -244,8 +201,8 @@ fn write(options: &Options, timed: &[Timed]) -> Result<String> {
     save(&options.out, "render-growth.svg", &stack(&charts)?)?;
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     Ok(format!(
-        "## Growth\n\nGPU time of all passes of a frame with a new picture of 1024×512 and lights that moved, median of 5 frames, on this machine with {cores} cores. Unless varied: {} light, {} balls of \
-         roughness {}, {}×{} pixels; triangles are those of one ball. Fits are t = a + b x^p of least squares, in milliseconds.\n\n{}\n![Growth](render-growth.svg)\n",
+        "## Growth\n\nGPU time of all passes of a frame with a new picture of 1024×512 and lights that moved, median of 8 frames, on this machine with {cores} cores. Unless varied: {} light, {} balls of \
+         roughness {}, {}×{} pixels; triangles are those of one ball; views are drawn one after the other in one frame. Fits are t = a + b x^p of least squares, in milliseconds.\n\n{}\n![Growth](render-growth.svg)\n",
         BASE.lights,
         BASE.objects,
         BASE.roughness,
@@ -277,12 +234,8 @@ mod tests {
     #[test]
     fn a_ball_has_its_triangles_and_scenes_are_scenes() {
         for triangles in [1_000, 100_000] {
-            let glb = ball(triangles).unwrap();
-            let length = u32::from_le_bytes(glb[12..16].try_into().unwrap()) as usize;
-            let json: serde_json::Value = serde_json::from_slice(&glb[20..20 + length]).unwrap();
-            let made = json["accessors"][2]["count"].as_u64().unwrap() as f64 / 3.0;
+            let made = f64::from(4 * rings(triangles).pow(2));
             assert!((made / triangles as f64 - 1.0).abs() < 0.05, "{made}");
-            assert_eq!(u32::from_le_bytes(glb[8..12].try_into().unwrap()) as usize, glb.len());
         }
         for sweep in sweeps() {
             for (_, shown) in sweep.steps {
@@ -294,10 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn times_are_read_summed_and_fitted() {
-        let passes = parse("pass,gpu_ms\nshadow 1,0.5\nobjects, view 2,1.5\n").unwrap();
-        assert_eq!(passes, [("shadow 1".to_owned(), 0.5), ("objects, view 2".to_owned(), 1.5)]);
-        assert!(parse("pass,gpu_ms\nshadow\n").is_err() && parse("").is_err());
+    fn times_are_summed_and_fitted() {
         let folder = tempfile::tempdir().unwrap();
         let steps = [1.0, 2.0, 4.0, 8.0].map(|value| (value, BASE)).to_vec();
         let passes = steps.iter().map(|(value, _)| vec![("objects".to_owned(), *value), ("composite".to_owned(), 2.0)]).collect();

@@ -1,8 +1,8 @@
 //! Rendering, measured: viewers beside their server, our pictures against path-traced truth and three.js, our shadows against path-traced
-//! visibility, and how time grows with what is drawn.
+//! visibility, time against error, how time grows with what is drawn, and a race against Bevy.
 //!
-//! `viewers` runs the demo's scene, `truth` and `shadows` compare what the viewer draws with the references in `tests/references`, `growth` times the
-//! passes of one picture. `flip` is the metric, `sheet` puts pictures side by side, `three` has three.js draw the same scenes, `programs` runs
+//! `viewers` runs the demo's scene, `truth` and `shadows` compare what the viewer draws with the references in `tests/references`, `methods` and
+//! `growth` time the passes of one picture, `bevy` races whole frames. `flip` is the metric, `sheet` puts pictures side by side, `three` has three.js draw the same scenes, `programs` runs
 //! server and viewer to their end.
 
 use std::fs;
@@ -12,8 +12,10 @@ use anyhow::{Context, Result};
 
 use crate::figures::save;
 
+mod bevy;
 pub mod flip;
 mod growth;
+mod methods;
 mod programs;
 mod shadows;
 mod sheet;
@@ -30,8 +32,12 @@ pub enum Part {
     Truth,
     /// Shadows against path-traced visibility.
     Shadows,
-    /// Time of every pass over lights, objects, triangles, roughness and size.
+    /// Time against error of every way to look up reflections in every tier.
+    Methods,
+    /// Time of every pass over lights, objects, triangles, roughness, size and views.
     Growth,
+    /// Race against Bevy, where its side was built.
+    Bevy,
 }
 
 /// What to run.
@@ -55,12 +61,15 @@ pub struct Options {
     pub node: PathBuf,
     /// Browser that three.js draws in.
     pub chromium: PathBuf,
+    /// Bevy's side of the race, built in `tests/peers/bevy_scene`.
+    pub bevy: Option<PathBuf>,
     /// Folder that the results go into; made where it is missing.
     pub out: PathBuf,
 }
 
 /// Runs the bench and writes `render.md`; of viewers `render.csv`, `render-passes.csv` and `render-passes.svg`; of truth `render-truth.csv` and
-/// `render-truth.jpg`; of shadows `render-shadows.csv` and `render-shadows.png`; of growth `render-growth.csv` and `render-growth.svg`.
+/// `render-truth.jpg`; of shadows `render-shadows.csv` and `render-shadows.png`; of methods `render-methods.csv` and `render-methods.svg`; of growth `render-growth.csv`
+/// and `render-growth.svg`; of the race `render-bevy.csv` and both renderers' pictures.
 ///
 /// # Errors
 /// When panoramas or references are missing, a program fails, or the results cannot be written.
@@ -72,7 +81,9 @@ pub fn run(options: &Options) -> Result<()> {
             Part::Viewers => viewers::run(options)?,
             Part::Truth => truth::run(options)?,
             Part::Shadows => shadows::run(options)?,
+            Part::Methods => methods::run(options)?,
             Part::Growth => growth::run(options)?,
+            Part::Bevy => bevy::run(options)?,
         });
     }
     save(&options.out, "render.md", &format!("# Rendering\n\n{}", sections.join("\n")))
@@ -95,6 +106,7 @@ mod tests {
             three: None,
             node: "node".into(),
             chromium: "chromium".into(),
+            bevy: None,
             out: out.to_owned(),
         }
     }

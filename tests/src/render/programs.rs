@@ -59,6 +59,26 @@ pub(super) fn render(sandbox: &Sandbox, panorama: &Path, scene: &Path, light: &P
     Ok(command)
 }
 
+/// GPU times of a picture by pass, milliseconds.
+pub(super) type Passes = Vec<(String, f64)>;
+
+/// What `--passes` wrote.
+///
+/// # Errors
+/// Naming the file and what is wrong with it.
+pub(super) fn load_passes(path: &Path) -> Result<Passes> {
+    let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+    parse_passes(&text).with_context(|| path.display().to_string())
+}
+
+fn parse_passes(text: &str) -> Result<Passes> {
+    let mut lines = text.lines();
+    ensure!(lines.next() == Some("pass,gpu_ms"), "--passes wrote another head: {text}");
+    lines
+        .map(|line| line.rsplit_once(',').and_then(|(name, ms)| Some((name.to_owned(), ms.parse().ok()?))).with_context(|| line.to_owned()))
+        .collect()
+}
+
 /// A JSON file of the references.
 ///
 /// # Errors
@@ -77,4 +97,16 @@ pub(super) fn load_picture(path: &Path, size: (u32, u32)) -> Result<image::Dynam
     let (width, height) = (picture.width(), picture.height());
     ensure!((width, height) == size, "{}: {width}×{height} pixels, not {}×{}", path.display(), size.0, size.1);
     Ok(picture)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_of_passes_are_read() {
+        let passes = parse_passes("pass,gpu_ms\nshadow 1,0.5\nobjects, view 2,1.5\n").unwrap();
+        assert_eq!(passes, [("shadow 1".to_owned(), 0.5), ("objects, view 2".to_owned(), 1.5)]);
+        assert!(parse_passes("pass,gpu_ms\nshadow\n").is_err() && parse_passes("").is_err());
+    }
 }

@@ -26,12 +26,12 @@ const TILE: (u32, u32) = (288, 162);
 
 /// `truth.json`.
 #[derive(Deserialize)]
-struct Kept {
+pub(super) struct Kept {
     made_with: MadeWith,
-    view: View,
+    pub(super) view: View,
     /// What the values of `regions.png` stand for.
     regions: Vec<String>,
-    panoramas: BTreeMap<String, Quality>,
+    pub(super) panoramas: BTreeMap<String, Quality>,
 }
 
 #[derive(Deserialize)]
@@ -42,7 +42,7 @@ struct MadeWith {
 }
 
 #[derive(Deserialize)]
-struct Quality {
+pub(super) struct Quality {
     /// Share of the visible ground's radiance that no albedo could give and the ground emits.
     emitted_share_of_ground: f64,
     /// Mean over the pixels, linear.
@@ -74,8 +74,7 @@ pub(super) fn run(options: &Options) -> Result<String> {
     let kept: Kept = load_json(&folder.join("truth.json"))?;
     let size = kept.view.size;
     let regions = load_picture(&folder.join("regions.png"), size)?.into_luma8().into_raw();
-    let panoramas = options.panoramas.clone().map_or_else(|| media_folder("hdr"), Ok)?;
-    let panoramas = panoramas.canonicalize().with_context(|| format!("--panoramas {}", panoramas.display()))?;
+    let panoramas = panoramas(options)?;
     let sandbox = Sandbox::new()?;
     let scene = folder.join("SCENE.toml");
     let (mut jobs, mut ours) = (Vec::new(), Vec::new());
@@ -110,8 +109,20 @@ pub(super) fn run(options: &Options) -> Result<String> {
     Ok(section(&rows, &kept, &version))
 }
 
+/// The folder of panoramas.
+///
+/// # Errors
+/// When there is none.
+pub(super) fn panoramas(options: &Options) -> Result<PathBuf> {
+    let folder = options.panoramas.clone().map_or_else(|| media_folder("hdr"), Ok)?;
+    folder.canonicalize().with_context(|| format!("--panoramas {}", folder.display()))
+}
+
 /// The panorama whose file name ends in `name`.
-fn find(folder: &Path, name: &str) -> Result<PathBuf> {
+///
+/// # Errors
+/// When the folder holds none.
+pub(super) fn find(folder: &Path, name: &str) -> Result<PathBuf> {
     let entries = std::fs::read_dir(folder).with_context(|| folder.display().to_string())?;
     let fits = |path: &PathBuf| {
         path.extension().is_some_and(|kind| kind == "exr" || kind == "hdr")
@@ -123,8 +134,7 @@ fn find(folder: &Path, name: &str) -> Result<PathBuf> {
 
 fn compare(truth: &RgbImage, picture: &RgbImage, regions: &[u8], count: usize) -> Compared {
     let difference = flip(truth, picture);
-    let squares = truth.as_raw().iter().zip(picture.as_raw()).map(|(a, b)| ((f64::from(*a) - f64::from(*b)) / 255.0).powi(2));
-    let rmse = (squares.sum::<f64>() / truth.as_raw().len() as f64).sqrt();
+    let rmse = rmse(truth, picture);
     let mut shares = vec![0.0; count];
     for (value, region) in difference.iter().zip(regions) {
         if let Some(share) = shares.get_mut(usize::from(*region)) {
@@ -132,6 +142,12 @@ fn compare(truth: &RgbImage, picture: &RgbImage, regions: &[u8], count: usize) -
         }
     }
     Compared { flip: mean(&difference), rmse, shares, difference }
+}
+
+/// Root of the mean square of the codes' differences, 1 between black and white; of pictures of one size.
+pub(super) fn rmse(truth: &RgbImage, picture: &RgbImage) -> f64 {
+    let squares = truth.as_raw().iter().zip(picture.as_raw()).map(|(a, b)| ((f64::from(*a) - f64::from(*b)) / 255.0).powi(2));
+    (squares.sum::<f64>() / truth.as_raw().len() as f64).sqrt()
 }
 
 fn table(rows: &[Row], regions: &[String]) -> Table {

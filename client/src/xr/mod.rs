@@ -1,0 +1,218 @@
+//! Presents in a headset, through whatever OpenXR runtime the user has.
+//!
+//! The runtime sets the pace. A frame waits for it and for nothing else: what came from the network and the decoder is taken in, poses are read
+//! last, both eyes are drawn and handed over. Runtime and headset may come, sleep, go and come back while the broadcast runs on; all that hangs
+//! on them, the GPU's device included, is then made anew.
+
+mod controllers;
+mod eyes;
+mod fault;
+mod graphics;
+mod headset;
+mod layers;
+mod pace;
+mod runtime;
+mod space;
+mod swapchain;
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use mr360_protocol::clock::ClientTime;
+use mr360_protocol::intent::Action;
+
+pub use self::eyes::EyeRecorder;
+
+use self::fault::Fault;
+use self::headset::{Headset, Standing, Viewer};
+use self::runtime::{Loader, Runtime};
+use crate::camera::Camera;
+use crate::frame_loop::{BoxError, FrameError, FrameLoop, Redraw, Stage};
+use crate::gpu::Gpu;
+use crate::hands::Hands;
+
+/// From one look for a headset to the next.
+const RETRY: Duration = Duration::from_secs(2);
+/// From one question to a session that wants no frames to the next.
+const LISTEN: Duration = Duration::from_millis(10);
+/// Sessions in a row that were lost before they showed anything, after which the headset is given up.
+const MAX_LOST: u32 = 3;
+
+/// When a run ends.
+#[derive(Debug, Clone)]
+pub struct XrOptions {
+    /// After so many frames.
+    pub frames: Option<u64>,
+    /// After so long.
+    pub duration: Option<Duration>,
+    /// When set, as by Ctrl-C; set when the user ends the program from within the headset.
+    pub stop: Arc<AtomicBool>,
+}
+
+/// Why there is no headset, or no longer.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum XrError {
+    /// Nothing that waiting would mend: fall back to another mode.
+    #[error("no headset can be used: {detail}")]
+    NoHeadset {
+        /// What is missing, and where it comes from.
+        detail: String,
+    },
+    /// The renderer could not be set up on the headset's GPU.
+    #[error("the renderer cannot be set up on the headset's GPU: {0}")]
+    Open(BoxError),
+    /// A frame could not be drawn.
+    #[error(transparent)]
+    Frame(#[from] FrameError),
+    /// A call to the runtime failed that should not.
+    #[error("the OpenXR runtime failed: {detail}; restart the headset's software")]
+    Runtime {
+        /// Which, and how.
+        detail: String,
+    },
+}
+
+/// What a run asks of its surroundings.
+pub struct Surroundings<'a, S> {
+    /// Makes the renderer on the headset's GPU, and again when it was lost.
+    pub open: &'a mut dyn FnMut(Gpu) -> Result<S, BoxError>,
+    /// Hands on to the server what the user wishes; must not block.
+    pub act: &'a mut dyn FnMut(Action),
+    /// Keeps what the eyes saw.
+    pub eyes: Option<EyeRecorder>,
+}
+
+/// Shows frames in a headset until an end of `options` is reached, the stream ends or the user leaves; then returns the frames presented. While
+/// there is no headset the broadcast runs on unseen, and it is looked for again and again.
+///
+/// # Errors
+/// [`XrError::NoHeadset`] when waiting would be in vain; everything else ends a run.
+pub fn run<S: Stage>(frames: &mut FrameLoop, options: &XrOptions, mut surroundings: Surroundings<'_, S>) -> Result<u64, XrError> {
+    let limits = Limits { options, begin: Instant::now(), first_frame: frames.frames() };
+    let loader = Loader::load().map_err(given_up)?;
+    let mut viewer = Viewer::default();
+    let mut told = None;
+    let mut lost = 0;
+    while !limits.are_reached(frames) {
+        let before = frames.frames();
+        let Err(fault) = session(frames, &limits, &loader, &mut surroundings, &mut viewer) else { break };
+        frames.device_lost();
+        if frames.frames() > before {
+            (told, lost) = (None, 0);
+        }
+        let detail = match fault {
+            Fault::Later(detail) => detail,
+            Fault::Lost(detail) | Fault::Frame(FrameError::DeviceLost { detail }) => {
+                lost += 1;
+                if lost >= MAX_LOST {
+                    return Err(XrError::NoHeadset { detail: format!("{detail}, {MAX_LOST} times in a row") });
+                }
+                format!("{detail}; opening it anew")
+            }
+            fault => return Err(given_up(fault)),
+        };
+        if told.as_ref() != Some(&detail) {
+            tracing::warn!("{detail}; the broadcast goes on");
+            told = Some(detail);
+        }
+        if pass_for(frames, &limits, RETRY) {
+            break;
+        }
+    }
+    Ok(frames.frames() - limits.first_frame)
+}
+
+fn given_up(fault: Fault) -> XrError {
+    match fault {
+        Fault::Absent(detail) => XrError::NoHeadset { detail },
+        Fault::Open(error) => XrError::Open(error),
+        Fault::Frame(error) => XrError::Frame(error),
+        Fault::Later(detail) | Fault::Lost(detail) | Fault::Failed(detail) => XrError::Runtime { detail },
+    }
+}
+
+struct Limits<'a> {
+    options: &'a XrOptions,
+    begin: Instant,
+    first_frame: u64,
+}
+
+impl Limits<'_> {
+    fn are_reached(&self, frames: &FrameLoop) -> bool {
+        let done = frames.frames() - self.first_frame;
+        let over =
+            self.options.frames.is_some_and(|most| done >= most) || self.options.duration.is_some_and(|most| self.begin.elapsed() >= most);
+        over || self.options.stop.load(Ordering::Relaxed)
+    }
+}
+
+/// Lets the broadcast run on unseen for a while. True when the run is over.
+fn pass_for(frames: &mut FrameLoop, limits: &Limits<'_>, time: Duration) -> bool {
+    let until = ClientTime(frames.clock().now().0 + time.as_micros() as u64);
+    while frames.clock().now() < until {
+        if frames.pass().ended || limits.are_reached(frames) {
+            return true;
+        }
+        frames.rest(Some(until));
+    }
+    false
+}
+
+/// From finding a headset until the run is over.
+fn session<S: Stage>(
+    frames: &mut FrameLoop,
+    limits: &Limits<'_>,
+    loader: &Loader,
+    surroundings: &mut Surroundings<'_, S>,
+    viewer: &mut Viewer,
+) -> Result<(), Fault> {
+    let runtime = Runtime::open(loader)?;
+    let (gpu, handles) = graphics::open(&runtime)?;
+    let Surroundings { open, act, eyes } = surroundings;
+    let mut headset = Headset::new(runtime, &gpu, &handles, frames.clock(), viewer, eyes.as_mut())?;
+    let mut stage = open(gpu).map_err(Fault::Open)?;
+    let mut hands = Hands::default();
+    while !limits.are_reached(frames) {
+        let ended = match headset.listen(stage.ground_y()).map_err(Fault::within_session)? {
+            Standing::Running => frame(frames, &mut headset, &mut stage, &mut hands, act).map_err(Fault::within_session)?,
+            Standing::Stopped => pass_for(frames, limits, LISTEN),
+            Standing::Ended => {
+                limits.options.stop.store(true, Ordering::Relaxed);
+                true
+            }
+        };
+        if ended {
+            break;
+        }
+    }
+    Ok(())
+}
+
+/// One frame of a session that wants frames. True when the stream has ended.
+fn frame<S: Stage>(
+    frames: &mut FrameLoop,
+    headset: &mut Headset<'_>,
+    stage: &mut S,
+    hands: &mut Hands,
+    act: &mut dyn FnMut(Action),
+) -> Result<bool, Fault> {
+    let turn = if let Some(interval) = headset.begin()? {
+        stage.set_interval(u32::try_from(interval.as_micros()).unwrap_or(u32::MAX));
+        let out = hands.update(&headset.read_hands()?, stage);
+        headset.pulse(out.haptics)?;
+        headset.place(&out.placing);
+        stage.show_local(&out.drawn);
+        // Shown at once, decided by the server.
+        let now = frames.clock().now();
+        out.actions.iter().for_each(|action| stage.predict(action, now));
+        out.actions.into_iter().for_each(act);
+        // Where the viewer is comes from the headset; this camera is nobody's.
+        frames.turn(stage, headset, &Camera::looking(0.0, 0.0, 1.0), Redraw::Always).map_err(Fault::Frame)
+    } else {
+        Ok(frames.pass())
+    };
+    headset.end_unseen()?;
+    Ok(turn?.ended)
+}

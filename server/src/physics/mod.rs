@@ -1,0 +1,250 @@
+//! Physics of the scene: what is let go of falls, flies, collides and comes to rest, the same for every viewer.
+//!
+//! Steps are of fixed length and nothing in here asks for the time, so that the same wishes between the same steps end in the same
+//! place, bit for bit. While everything rests, nothing is computed.
+
+mod form;
+mod gltf;
+mod hull;
+#[cfg(test)]
+mod tests;
+
+use std::collections::BTreeMap;
+
+use glam::{Quat, Vec3};
+use mr360_protocol::intent::{MAX_SPEED_M_S, MAX_SPIN_RAD_S, Motion};
+use mr360_protocol::scene::{Geometry, MAX_POSITION_M, Object, ObjectId, Scene, Transform};
+use rapier3d::prelude::{
+    ColliderBuilder, ColliderHandle, PhysicsWorld, Pose, RigidBodyBuilder, RigidBodyHandle, RigidBodyType, Rotation, Vector,
+};
+
+pub use form::Forms;
+
+/// Length of a step, seconds: one for each delta that viewers get.
+pub const STEP_S: f32 = 1.0 / 60.0;
+
+/// Water-soaked wood to light plastic; only ratios of masses matter, and these are of volumes.
+const DENSITY_KG_M3: f32 = 500.0;
+/// Dry wood on wood.
+const FRICTION: f32 = 0.6;
+/// Wood on stone; a stack comes to rest.
+const RESTITUTION: f32 = 0.25;
+/// Air, a second.
+const LINEAR_DAMPING: f32 = 0.05;
+/// Stands for rolling friction, which the solver does not have: without it a ball never stops.
+const ANGULAR_DAMPING: f32 = 0.8;
+/// Smaller moves are not told to viewers: a tenth of a millimetre.
+const TOLD_M: f32 = 1e-4;
+/// Smaller turns are not told to viewers, half the angle in radians.
+const TOLD_RAD: f32 = 1e-4;
+/// A held object that is asked to go farther in one step is there at once, and pushes nothing on its way.
+const MAX_PUSH_M: f32 = MAX_SPEED_M_S * STEP_S;
+
+/// Bodies of the scene's objects on its ground, among the meshes of its place.
+pub struct Physics {
+    world: PhysicsWorld,
+    bodies: BTreeMap<ObjectId, Body>,
+    forms: Forms,
+    /// Something moves, or may.
+    awake: bool,
+}
+
+struct Body {
+    handle: RigidBodyHandle,
+    /// None where its model tells no form: it is where it was put, and nothing touches it.
+    collider: Option<ColliderHandle>,
+    geometry: Geometry,
+    /// Stays where it is put.
+    fixed: bool,
+    held: bool,
+    /// As viewers know it; of a held one, where it is to go.
+    transform: Transform,
+}
+
+impl Physics {
+    /// Every object of the scene at rest where its author put it, even in the air: it falls once it was touched.
+    #[must_use]
+    pub fn new(scene: &Scene, fixed: impl Fn(ObjectId) -> bool, forms: Forms) -> Self {
+        let mut world = PhysicsWorld::new();
+        world.integration_parameters.dt = STEP_S;
+        world.integration_parameters.normalized_max_linear_velocity = MAX_SPEED_M_S * 3.0;
+        let ground =
+            ColliderBuilder::halfspace(rapier3d::na::Unit::new_unchecked(Vector::Y)).translation(Vector::new(0.0, scene.ground_y, 0.0));
+        world.insert_collider(surface(ground), None);
+        for mesh in &scene.place {
+            if let Some(collider) = forms.place(mesh) {
+                world.insert_collider(surface(collider), None);
+            }
+        }
+        let mut physics = Self { world, bodies: BTreeMap::new(), forms, awake: false };
+        for object in &scene.objects {
+            physics.insert(object, fixed(object.id), true);
+        }
+        physics
+    }
+
+    /// Adds an object, which falls at once unless it is fixed.
+    pub fn add(&mut self, object: &Object, fixed: bool) {
+        self.insert(object, fixed, false);
+        self.awake |= !fixed;
+    }
+
+    fn insert(&mut self, object: &Object, fixed: bool, asleep: bool) {
+        let transform = object.transform;
+        let collider = self.forms.collider(&object.geometry, transform.scale);
+        let fixed = fixed || collider.is_none();
+        let kind = if fixed { RigidBodyType::KinematicPositionBased } else { RigidBodyType::Dynamic };
+        let body = RigidBodyBuilder::new(kind)
+            .pose(pose(&transform))
+            .linear_damping(LINEAR_DAMPING)
+            .angular_damping(ANGULAR_DAMPING)
+            .ccd_enabled(true)
+            .sleeping(asleep || fixed);
+        let handle = self.world.insert_body(body);
+        let collider = collider.map(|collider| self.world.insert_collider(surface(collider), Some(handle)));
+        self.bodies.insert(object.id, Body { handle, collider, geometry: object.geometry, fixed, held: false, transform });
+    }
+
+    /// Takes an object away. What leant on it falls.
+    pub fn remove(&mut self, object: ObjectId) {
+        if let Some(body) = self.bodies.remove(&object) {
+            self.world.remove_body(body.handle);
+            self.awake = true;
+        }
+    }
+
+    /// Somebody takes hold of an object: it goes where [`Physics::move_to`] says, and pushes what is in its way.
+    pub fn hold(&mut self, object: ObjectId) {
+        let Some(body) = self.bodies.get_mut(&object).filter(|body| !body.held) else { return };
+        body.held = true;
+        if let Some(rigid) = self.world.bodies.get_mut(body.handle) {
+            rigid.set_enabled(true);
+            rigid.set_body_type(RigidBodyType::KinematicPositionBased, true);
+        }
+        self.awake = true;
+    }
+
+    /// Where a held object is to be after the next step.
+    pub fn move_to(&mut self, object: ObjectId, transform: Transform) {
+        let Some(body) = self.bodies.get_mut(&object).filter(|body| body.held) else { return };
+        let scaled = body.transform.scale != transform.scale;
+        body.transform = transform;
+        self.awake = true;
+        if scaled && let Some(old) = body.collider {
+            let (handle, form) = (body.handle, self.forms.collider(&body.geometry, transform.scale));
+            self.world.remove_collider(old);
+            let new = form.map(|form| self.world.insert_collider(surface(form), Some(handle)));
+            if let Some(body) = self.bodies.get_mut(&object) {
+                body.collider = new;
+            }
+        }
+    }
+
+    /// Lets go of a held object.
+    pub fn release(&mut self, object: ObjectId, motion: Motion) {
+        let Some(body) = self.bodies.get_mut(&object).filter(|body| body.held) else { return };
+        body.held = false;
+        self.awake = true;
+        let (pose, free) = (pose(&body.transform), !body.fixed);
+        let Some(rigid) = self.world.bodies.get_mut(body.handle) else { return };
+        rigid.set_position(pose, true);
+        if free {
+            rigid.set_body_type(RigidBodyType::Dynamic, true);
+            let motion = motion.bounded();
+            let (linear, angular) = (vector(motion.linear), vector(motion.angular));
+            // The motion is that of the origin, the solver wants that of the middle of mass.
+            let arm = rigid.center_of_mass() - pose.translation;
+            rigid.set_linvel(linear + angular.cross(arm), true);
+            rigid.set_angvel(angular, true);
+        }
+    }
+
+    /// One step. The objects that moved by themselves, as viewers are to see them, in order.
+    pub fn step(&mut self) -> Vec<(ObjectId, Transform)> {
+        if !self.awake {
+            return Vec::new();
+        }
+        self.lead_held();
+        self.world.step();
+        if !self.world.quarantine().is_empty() {
+            tracing::error!("an object's motion was not finite; it stays where it was until somebody takes hold of it");
+        }
+        let mut moved = Vec::new();
+        for (id, body) in self.bodies.iter_mut().filter(|(_, body)| !body.held && !body.fixed) {
+            let Some(rigid) = self.world.bodies.get_mut(body.handle) else { continue };
+            if !rigid.is_sleeping() {
+                keep_in_bounds(rigid);
+            }
+            let (at, rotation) = (position(rigid.position()), quaternion(rigid.rotation()));
+            let told = body.transform;
+            let differs = if rigid.is_sleeping() {
+                (at, rotation) != (told.position, told.rotation)
+            } else {
+                at.distance_squared(told.position) > TOLD_M * TOLD_M || (rotation * told.rotation.inverse()).xyz().length() > TOLD_RAD
+            };
+            if differs {
+                body.transform = Transform { position: at, rotation, ..told };
+                moved.push((*id, body.transform));
+            }
+        }
+        self.awake = self.world.islands.num_active_bodies() > 0;
+        moved
+    }
+
+    /// Nothing moves, and nothing will before somebody wishes for something.
+    #[must_use]
+    pub fn at_rest(&self) -> bool {
+        !self.awake
+    }
+
+    fn lead_held(&mut self) {
+        for body in self.bodies.values().filter(|body| body.held) {
+            let Some(rigid) = self.world.bodies.get_mut(body.handle) else { continue };
+            let to = pose(&body.transform);
+            if *rigid.position() == to {
+                continue;
+            }
+            if (to.translation - rigid.translation()).length() > MAX_PUSH_M {
+                rigid.set_position(to, true);
+            } else {
+                rigid.set_next_kinematic_position(to);
+            }
+        }
+    }
+}
+
+/// What flies off the edge of the world goes no farther; nothing spins faster than wishes may.
+fn keep_in_bounds(rigid: &mut rapier3d::prelude::RigidBody) {
+    let at = *rigid.position();
+    let edge = Vector::splat(MAX_POSITION_M);
+    let inside = at.translation.clamp(-edge, edge);
+    if inside != at.translation {
+        rigid.set_position(Pose::from_parts(inside, at.rotation), false);
+        rigid.set_linvel(Vector::ZERO, false);
+    }
+    let most = Vector::splat(MAX_SPIN_RAD_S);
+    if rigid.angvel().abs().max_element() > MAX_SPIN_RAD_S {
+        let slower = rigid.angvel().clamp(-most, most);
+        rigid.set_angvel(slower, false);
+    }
+}
+
+fn surface(collider: ColliderBuilder) -> ColliderBuilder {
+    collider.density(DENSITY_KG_M3).friction(FRICTION).restitution(RESTITUTION)
+}
+
+fn vector(v: Vec3) -> Vector {
+    Vector::from_array(v.to_array())
+}
+
+fn pose(transform: &Transform) -> Pose {
+    Pose::from_parts(vector(transform.position), Rotation::from_array(transform.rotation.to_array()))
+}
+
+fn position(pose: &Pose) -> Vec3 {
+    Vec3::from_array(pose.translation.to_array())
+}
+
+fn quaternion(rotation: &Rotation) -> Quat {
+    Quat::from_array(rotation.to_array()).normalize()
+}
