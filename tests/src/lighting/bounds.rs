@@ -80,6 +80,9 @@ impl Bound {
     }
 }
 
+/// A multiple from which on it is of nothing.
+const MOST_TIMES: f64 = 1000.0;
+
 /// All bounds, a row each.
 pub(super) fn table(bounds: &[Bound]) -> Table {
     let head = [
@@ -96,8 +99,8 @@ pub(super) fn table(bounds: &[Bound]) -> Table {
     let figure = |figure: Option<f64>| figure.map_or_else(|| "–".to_owned(), short);
     for bound in bounds {
         let best: Vec<String> = bound.best.iter().map(|best| format!("{}: {}", best.name, short(best.figure))).collect();
-        // Of what reaches nothing at all, there is no multiple.
-        let reached = bound.reached().filter(|(_, ratio)| *ratio < 1e4);
+        // Of what is next to nothing, there is no multiple.
+        let reached = bound.reached().filter(|(_, ratio)| *ratio < MOST_TIMES);
         table.push([
             bound.what.clone(),
             bound.limit.to_string(),
