@@ -29,7 +29,7 @@ use crate::gpu::{Gpu, GpuError, block_on};
 use crate::picture::{Picture, Samples};
 use crate::record::PictureFile;
 use crate::scene::model::Model;
-use crate::view::{Parallax, Renderer, View};
+use crate::view::{Parallax, Renderer, Resampling, View};
 
 mod eyes;
 mod passes;
@@ -93,6 +93,9 @@ pub struct RenderArgs {
     /// are, all else on a dome of 50 m), or ground:RADIUS.
     #[arg(long, default_value = "ground", value_name = "SETTING")]
     pub parallax: Parallax,
+    /// How the panorama is resampled: fine, plain, or auto, which is fine on all but software GPUs.
+    #[arg(long, value_enum, default_value_t = Resampling::Auto)]
+    pub resampling: Resampling,
     /// One picture, or both eyes' side by side, each of --size.
     #[arg(long, value_enum, default_value_t = Eyes::One, conflicts_with = "right_eye")]
     pub eyes: Eyes,
@@ -108,6 +111,8 @@ pub struct Methods {
     pub reflections: Reflections,
     /// How far away the background is.
     pub parallax: Parallax,
+    /// How it is resampled.
+    pub resampling: Resampling,
 }
 
 impl From<Reflections> for Methods {
@@ -154,7 +159,7 @@ pub fn run(args: &RenderArgs) -> Result<(), Failure> {
     let Inputs { picture, light, scene, assets } = &inputs;
     let still = Still { gpu: &gpu, picture, light, scene, assets };
     // All is drawn before anything is written: a GPU that fails leaves no half of what was asked for.
-    let methods = Methods { reflections: args.reflections, parallax: args.parallax };
+    let methods = Methods { reflections: args.reflections, parallax: args.parallax, resampling: args.resampling };
     let draw = |format| args.eyes.draw(&still, methods, (&camera, args.ipd_mm * 1e-3), args.size, format);
     let coded = (coded, draw(wgpu::TextureFormat::Rgba8UnormSrgb)?);
     let linear = match linear {
@@ -282,6 +287,7 @@ impl Still<'_> {
         renderer.set_light(self.light);
         renderer.set_reflections(methods.reflections);
         renderer.set_parallax(methods.parallax);
+        renderer.set_resampling(gpu, methods.resampling);
         renderer.set_time(self.picture.pts_us);
         if let Some(warning) = renderer.set_scene(gpu, self.scene, &|id| self.assets.get(&id).cloned().map(Ok)).into_iter().next() {
             return Err(Failure::Input(warning.into()));
