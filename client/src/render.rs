@@ -30,7 +30,7 @@ use crate::gpu::{Gpu, GpuError, block_on};
 use crate::picture::{Picture, Samples};
 use crate::record::PictureFile;
 use crate::scene::model::Model;
-use crate::view::{MAX_VIEWS, Parallax, Renderer, View};
+use crate::view::{MAX_VIEWS, Parallax, Renderer, Resampling, View};
 
 mod eyes;
 mod timing;
@@ -108,6 +108,9 @@ pub struct RenderArgs {
     /// are, all else on a dome of 50 m), or ground:RADIUS.
     #[arg(long, default_value = "ground", value_name = "SETTING")]
     pub parallax: Parallax,
+    /// How the panorama is resampled: fine, plain, or auto, which is fine on all but software GPUs.
+    #[arg(long, value_enum, default_value_t = Resampling::Auto)]
+    pub resampling: Resampling,
     /// One picture, or both eyes' side by side, each of --size.
     #[arg(long, value_enum, default_value_t = Eyes::One, conflicts_with = "right_eye")]
     pub eyes: Eyes,
@@ -154,7 +157,7 @@ pub fn run(args: &RenderArgs) -> Result<(), Failure> {
     let gpu = Gpu::headless().map_err(running)?;
     let Inputs { picture, light, scene, assets } = &inputs;
     let still = Still { gpu: &gpu, picture, light, scene, assets };
-    let how = How { reflections: args.reflections, tier: args.tier, parallax: args.parallax };
+    let how = How { reflections: args.reflections, tier: args.tier, parallax: args.parallax, resampling: args.resampling };
     // All is drawn before anything is written: a GPU that fails leaves no half of what was asked for.
     let draw = |format| args.eyes.draw(&still, how, (&camera, args.ipd_mm * 1e-3), args.size, format);
     let coded = (coded, draw(wgpu::TextureFormat::Rgba8UnormSrgb)?);
@@ -189,6 +192,8 @@ pub struct How {
     pub tier: Tier,
     /// How far away the background is.
     pub parallax: Parallax,
+    /// How it is resampled.
+    pub resampling: Resampling,
 }
 
 impl From<Reflections> for How {
@@ -305,6 +310,7 @@ impl Still<'_> {
         renderer.set_reflections(how.reflections);
         renderer.set_tier(how.tier);
         renderer.set_parallax(how.parallax);
+        renderer.set_resampling(gpu, how.resampling);
         renderer.set_time(self.picture.pts_us);
         if let Some(warning) = renderer.set_scene(gpu, self.scene, &|id| self.assets.get(&id).cloned().map(Ok)).into_iter().next() {
             return Err(Failure::Input(warning.into()));

@@ -4,6 +4,29 @@ use mr360_shaders::layout;
 
 use super::View;
 use super::extent::Part;
+use crate::gpu::Gpu;
+
+/// How the video is resampled.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
+pub enum Resampling {
+    /// Fine, but plain where the GPU is a program on the processor: there it takes five times as long and more.
+    #[default]
+    Auto,
+    /// One bilinear look-up a pixel.
+    Plain,
+    /// By a cubic where texels are larger than pixels, and by several rays a pixel where they are smaller.
+    Fine,
+}
+
+impl Resampling {
+    pub(super) fn is_fine(self, gpu: &Gpu) -> bool {
+        match self {
+            Self::Auto => gpu.adapter.get_info().device_type != wgpu::DeviceType::Cpu,
+            Self::Plain => false,
+            Self::Fine => true,
+        }
+    }
+}
 
 /// How a view shows the video.
 #[derive(Debug, Clone, Copy, Default)]

@@ -73,6 +73,7 @@ use crate::scene::model::LoadedModel;
 use crate::scene::pick::{Ray, Target, nearest, nearest_to};
 use crate::stats::PassTime;
 
+pub use background::Resampling;
 pub use local::{MAX_LOCAL, local_id};
 pub use parallax::Parallax;
 pub use pipelines::DEPTH_FORMAT;
@@ -179,6 +180,8 @@ pub struct Renderer {
     visible: bool,
     reflections: Reflections,
     parallax: Parallax,
+    /// The background is resampled finely.
+    fine: bool,
     /// Of the picture: when its animations are.
     time_us: u64,
     /// By view.
@@ -226,6 +229,7 @@ impl Renderer {
             visible: true,
             reflections: Reflections::default(),
             parallax: Parallax::default(),
+            fine: Resampling::default().is_fine(gpu),
             time_us: 0,
             layers: Vec::new(),
             drawn: Vec::new(),
@@ -273,6 +277,11 @@ impl Renderer {
     /// Shows the background of a source with one view at this distance from the next frame on.
     pub fn set_parallax(&mut self, parallax: Parallax) {
         self.parallax = parallax;
+    }
+
+    /// Resamples the video this way from the next frame on.
+    pub fn set_resampling(&mut self, gpu: &Gpu, resampling: Resampling) {
+        self.fine = resampling.is_fine(gpu);
     }
 
     /// Shows animated models in their pose of this time from the next frame on: the pts of the environment's picture. They move
@@ -383,7 +392,7 @@ impl Renderer {
             reflections: self.reflections,
             place,
             parallax: dome_m.is_some(),
-            magnified: environment.is_coded() && views.iter().any(|view| environment.texels(pixel_rad(view)) < 1.0),
+            magnified: self.fine && environment.is_coded() && views.iter().any(|view| environment.texels(pixel_rad(view)) < 1.0),
         };
         self.prepare(gpu, kind, plan);
         self.draw_shadows(encoder, &frusta, &mut report);
@@ -420,7 +429,8 @@ impl Renderer {
             false if plan.objects => touched(&view.camera, view.size, &self.stage, (ground, changed_place)),
             false => None,
         };
-        let background = Background { dome_m: dome_m.unwrap_or_default(), rays: rays(environment.texels(pixel_rad(view))) };
+        let background =
+            Background { dome_m: dome_m.unwrap_or_default(), rays: if self.fine { rays(environment.texels(pixel_rad(view))) } else { 1 } };
         self.resources.write_view(gpu, at, (view, background), part.unwrap_or_default());
         self.drawn.push(part.is_some());
         if let Some(part) = part {
