@@ -13,7 +13,7 @@ use mr360_shaders::equirect::{direction_from_uv, uv_from_direction};
 use super::tests::{SIZE, floats, panorama, ray_of, scene};
 use super::*;
 use crate::picture::{Picture, Samples};
-use crate::render::{Methods, Still, ambient_light};
+use crate::render::{How, Still, ambient_light};
 
 /// A panorama of sRGB codes.
 fn coded(width: u32, height: u32, code: impl Fn(Vec2) -> f32) -> Picture {
@@ -30,8 +30,8 @@ fn coded(width: u32, height: u32, code: impl Fn(Vec2) -> f32) -> Picture {
 fn show(gpu: &Gpu, picture: &Picture, camera: &Camera) -> Vec<f32> {
     let (light, empty) = (ambient_light(picture), scene(vec![]));
     let still = Still { gpu, picture, light: &light, scene: &empty, assets: &HashMap::new() };
-    let methods = Methods { resampling: Resampling::Fine, ..Methods::default() };
-    floats(&still.draw_by(methods, camera, SIZE, wgpu::TextureFormat::Rgba32Float).unwrap()).into_iter().map(|c| c.x).collect()
+    let how = How { resampling: Resampling::Fine, ..How::default() };
+    floats(&still.draw_by(how, camera, SIZE, wgpu::TextureFormat::Rgba32Float).unwrap()).into_iter().map(|c| c.x).collect()
 }
 
 /// What the picture shows, as an sRGB code.
