@@ -115,8 +115,10 @@ fn the_eyes_differ_by_the_parallax_of_their_distance() {
         let columns: Vec<f32> = (0..).zip(&drawn).filter(|(_, colour)| colour.x < 0.05).map(|(at, _)| (at % SIZE.0) as f32 + 0.5).collect();
         columns.iter().sum::<f32>() / columns.len() as f32
     };
-    // 3.5 m ahead, pixels so many to a unit of tangent: each eye sees it shifted by half the distance of the eyes.
+    // Pixels so many to a unit of tangent: each eye sees it shifted by half the distance of the eyes. The outline of a ball of radius r whose
+    // middle lies at (x, z) is an ellipse about x·z / (z² − r²).
     let shift = centre(-0.1) - centre(0.1);
-    let expected = 0.2 / 3.5 * SIZE.0 as f32 / (edges.right - edges.left);
+    let (away, radius) = (3.5, 0.5);
+    let expected = 0.2 * away / (away * away - radius * radius) * SIZE.0 as f32 / (edges.right - edges.left);
     assert!((shift - expected).abs() < 0.1, "{shift} pixels instead of {expected}");
 }

@@ -90,7 +90,7 @@ pub(super) struct Swapchain {
 }
 
 impl Swapchain {
-    /// Pictures of a format that [`format`] gave.
+    /// Pictures of a format that [`format()`] gave.
     ///
     /// # Errors
     /// Those of [`Fault::of`].

@@ -12,7 +12,7 @@ use pulp::{Arch, Simd, WithSimd};
 use super::luminance;
 use super::panorama::Panorama;
 use super::recovery::Density;
-use super::regions::{Regions, Run};
+use super::regions::{Regions, Run, most_regions};
 use super::track::{MOST_OBSERVATIONS, Observation};
 use super::vectors::{load, vectors};
 
@@ -91,14 +91,15 @@ pub(super) struct Clipped {
     likelihood: Vec<f64>,
     /// Share of what recovery added that goes to the likeliest: [`POOLED`], and less where all regions are specks.
     pooled: f64,
-    /// Along a run.
+    /// Along a run, which is one row of the sky at most.
     density: Vec<f32>,
 }
 
 impl Clipped {
-    /// Room for this many regions.
-    pub(super) fn new(regions: usize) -> Self {
-        Self { list: Vec::with_capacity(regions), likelihood: Vec::with_capacity(regions), pooled: 0.0, density: Vec::new() }
+    /// Room for whatever a sky of this size may hold, so that no frame allocates.
+    pub(super) fn new(width: usize, rows: usize) -> Self {
+        let regions = most_regions(width, rows);
+        Self { list: Vec::with_capacity(regions), likelihood: Vec::with_capacity(regions), pooled: 0.0, density: vec![0.0; width] }
     }
 
     /// Forgets the last frame's regions.
@@ -257,7 +258,7 @@ struct Dense<'a> {
     sky: &'a Sky<'a>,
     runs: &'a [Run],
     region: &'a mut Region,
-    density: &'a mut Vec<f32>,
+    density: &'a mut [f32],
 }
 
 impl WithSimd for Dense<'_> {
@@ -267,7 +268,6 @@ impl WithSimd for Dense<'_> {
     fn with_simd<S: Simd>(self, simd: S) {
         let Sky { panorama, clipped, density, .. } = *self.sky;
         let (geometry, width) = (&panorama.geometry, panorama.size.width as usize);
-        self.density.resize(width, 0.0);
         for run in self.runs {
             let (row, columns) = (run.row as usize, run.columns());
             let densities = &mut self.density[..columns.len()];

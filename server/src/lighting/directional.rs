@@ -85,7 +85,7 @@ impl Directional {
             sh: [Vec3::ZERO; SH25],
             regions: Regions::new(width, upper_rows),
             candidates: Candidates::new(most_regions(width, upper_rows)),
-            clipped: Clipped::new(most_regions(width, upper_rows)),
+            clipped: Clipped::new(width, upper_rows),
             bright: Bright::new(),
             observations: Vec::with_capacity(2 * MOST_OBSERVATIONS),
             coarse: Coarse::default(),
