@@ -115,7 +115,8 @@ fn the_overlay_tells_tier_times_of_stages_and_lights() -> Result<()> {
     let begin = Instant::now();
     // For whoever wants to look at it.
     let kept = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("window.png");
-    let texts = ["TIER 2 OF 4", "LIGHTS 1", "SHADOWS 1", "SHADOW 1", "OBJECTS", "COMPOSITE", "MS"];
+    // Shadow maps are kept while nothing moves: their pass is not in every frame.
+    let texts = ["TIER 2 OF 4", "LIGHTS 1", "SHADOWS 1", "OBJECTS", "COMPOSITE", "MS"];
     let shown = loop {
         let shown = shot(&sandbox, &name)?;
         let missing = texts.iter().map(|text| Ok((text, says(&shown, text)?))).collect::<Result<Vec<_>>>()?;
