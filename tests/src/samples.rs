@@ -99,6 +99,18 @@ pub fn percentile(values: &[f64], q: f64) -> Option<f64> {
     sorted.get(rank.saturating_sub(1).min(sorted.len().saturating_sub(1))).copied()
 }
 
+/// The middle value, or the mean of the two in the middle. `None` without values.
+#[must_use]
+pub fn median(values: &[f64]) -> Option<f64> {
+    let mut sorted = values.to_vec();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let middle = sorted.len() / 2;
+    match sorted.get(middle).copied() {
+        Some(upper) if sorted.len().is_multiple_of(2) => Some(0.5 * (sorted[middle - 1] + upper)),
+        odd => odd,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -135,5 +147,6 @@ mod tests {
         assert_eq!(percentile(&values, 0.51), Some(3.0));
         assert_eq!(percentile(&values, 1.0), Some(4.0));
         assert_eq!(percentile(&[], 0.5), None);
+        assert_eq!((median(&values), median(&values[..3]), median(&[])), (Some(2.5), Some(3.0), None));
     }
 }
