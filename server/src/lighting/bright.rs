@@ -9,9 +9,10 @@ use glam::{DVec3, Vec3};
 use mr360_shaders::colour::LUMA;
 use pulp::Arch;
 
+use super::brightest::{Brightest, CAP_RAD};
 use super::candidates::{Candidate, Excess, half_angle};
 use super::clipped::{Clipped, INSIDE, likely_share};
-use super::panorama::Panorama;
+use super::panorama::{Geometry, Panorama};
 use super::regions::{Regions, contain};
 use super::track::{MOST_OBSERVATIONS, Observation};
 
@@ -45,6 +46,7 @@ pub(super) struct Scene<'a> {
 /// Finds the lights that are not clipped; the buffer is reused.
 pub(super) struct Bright {
     sources: Vec<Source>,
+    brightest: Brightest,
 }
 
 /// What is bright and not clipped in a candidate.
@@ -59,9 +61,9 @@ struct Source {
 }
 
 impl Bright {
-    /// Room for the sources of a frame.
-    pub(super) fn new() -> Self {
-        Self { sources: Vec::with_capacity(MOST_OBSERVATIONS) }
+    /// Room for the sources of a frame whose panorama has this geometry.
+    pub(super) fn new(geometry: &Geometry) -> Self {
+        Self { sources: Vec::with_capacity(MOST_OBSERVATIONS), brightest: Brightest::new(geometry) }
     }
 
     /// Measures the candidates, and takes the share `pooled` off what recovery gave their single channels; returns how much that is.
@@ -74,7 +76,7 @@ impl Bright {
             if rest.strength <= 0.0 || rest.strength < (1.0 - MOSTLY) * candidate.strength {
                 continue;
             }
-            let direction = scene.excess(scene.clipped).core(&rest);
+            let direction = self.brightest.direction(scene, &rest);
             let (hidden, of_channels) = scene.hidden(&rest);
             let mut source = Source { candidate: *candidate, rest, direction, irradiance: rest.irradiance, hidden };
             let change = pooled * of_channels;
@@ -119,6 +121,18 @@ impl Bright {
         observations.retain(|observation| observation.share > 0.0);
         observations.sort_unstable_by(|a, b| strength(b).total_cmp(&strength(a)));
         observations.truncate(MOST_OBSERVATIONS);
+    }
+}
+
+impl Brightest {
+    /// Direction of what is not clipped in a candidate. Of a wide source that is where it is brightest; where parts of it clip, that is not known.
+    fn direction(&mut self, scene: &Scene<'_>, rest: &Candidate) -> DVec3 {
+        let excess = scene.excess(scene.clipped);
+        if scene.clipped.is_some() || rest.radius() <= CAP_RAD {
+            return excess.core(rest);
+        }
+        let brightest = self.of(&scene.panorama.geometry, scene.luminance, excess.runs(rest));
+        excess.near(rest, brightest, 2.0 * CAP_RAD).try_normalize().unwrap_or(brightest)
     }
 }
 

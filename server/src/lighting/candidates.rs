@@ -130,9 +130,8 @@ impl<'a> Excess<'a> {
     pub(super) fn core(&self, candidate: &Candidate) -> DVec3 {
         // Texels of one hemisphere cannot cancel out, except on its rim; straight up is as good as any then.
         let mut core = candidate.direction.try_normalize().unwrap_or(DVec3::Y);
-        let cosine = (CORE_RADII * candidate.radius()).min(std::f64::consts::PI).cos() as f32;
         for _ in 0..SHIFTS {
-            let shifted = self.arch.dispatch(Centroid { excess: self, region: candidate.region, towards: core.as_vec3(), cosine });
+            let shifted = self.near(candidate, core, CORE_RADII * candidate.radius());
             let before = core;
             core = shifted.try_normalize().unwrap_or(core);
             if before.distance_squared(core) < ARRIVED * ARRIVED {
@@ -140,6 +139,12 @@ impl<'a> Excess<'a> {
             }
         }
         core
+    }
+
+    /// Sum of the directions of what lies within `radius` of `towards`, by strength.
+    pub(super) fn near(&self, candidate: &Candidate, towards: DVec3, radius: f64) -> DVec3 {
+        let cosine = radius.min(std::f64::consts::PI).cos() as f32;
+        self.arch.dispatch(Centroid { excess: self, region: candidate.region, towards: towards.as_vec3(), cosine })
     }
 }
 

@@ -76,9 +76,10 @@ impl Directional {
 
     fn new(size: Grid, least_share: f64) -> Self {
         let (width, upper_rows) = (size.width as usize, size.height as usize / 2);
-        let (panorama, recoverer) = (Panorama::new(size, Lift::Linear), Recoverer::new(size));
+        let (panorama, recoverer) = (Panorama::new(size, Lift::Linear).keep_upper_half(), Recoverer::new(size));
         Self {
             luminance: Luminance::new(&panorama.geometry, recoverer.rows_at_once()),
+            bright: Bright::new(&panorama.geometry),
             panorama,
             recoverer,
             series: Series::new(size, SH25),
@@ -86,7 +87,6 @@ impl Directional {
             regions: Regions::new(width, upper_rows),
             candidates: Candidates::new(most_regions(width, upper_rows)),
             clipped: Clipped::new(width, upper_rows),
-            bright: Bright::new(),
             observations: Vec::with_capacity(2 * MOST_OBSERVATIONS),
             coarse: Coarse::default(),
             tracker: Tracker::new(Bounds { birth: least_share, death: KEPT * least_share, lights: MOST_LIGHTS }),

@@ -11,6 +11,7 @@ use crate::frame::Frame;
 
 mod averages;
 mod bright;
+mod brightest;
 mod candidates;
 mod cells;
 mod clipped;

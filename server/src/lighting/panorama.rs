@@ -102,8 +102,14 @@ pub(super) struct Panorama {
     pub(super) size: Grid,
     /// Where its texels look.
     pub(super) geometry: Geometry,
-    /// Radiance, row by row from the top; finite and not negative.
+    /// Radiance, row by row from the top; finite and not negative. Rows that are not kept hold nothing.
     pub(super) channels: Planes,
+    /// Rows of LDR video from here on are shown once and not kept.
+    kept: usize,
+    /// The same of the last frame, whatever it was.
+    kept_of_frame: usize,
+    /// Rows that are not kept, as many as are shown at once.
+    passing: Planes,
     /// Source values of the last frame that were not finite, negative or too large to be light.
     pub(super) mended: u64,
     lift: Lift,
@@ -122,6 +128,9 @@ impl Panorama {
             size,
             geometry: Geometry::new(size),
             channels: std::array::from_fn(|_| vec![0.0; texels]),
+            kept: size.height as usize,
+            kept_of_frame: size.height as usize,
+            passing: Planes::default(),
             mended: 0,
             lift,
             table: RadianceTable::new(lift, Colour::default()),
@@ -129,6 +138,12 @@ impl Panorama {
             blocks: Planes::default(),
             rgb: RgbSampler::default(),
         }
+    }
+
+    /// Keeps the upper half alone of LDR video: what is written and not read again pushes out of the caches what is needed there.
+    pub(super) fn keep_upper_half(mut self) -> Self {
+        self.kept = self.size.height as usize / 2;
+        self
     }
 
     /// The lift that the last frame was given; HDR frames are given none.
@@ -147,10 +162,19 @@ impl Panorama {
         &self.channels[channel][row * width..(row + 1) * width]
     }
 
+    /// How many rows of the last frame are kept.
+    pub(super) fn kept_rows(&self) -> usize {
+        self.kept_of_frame
+    }
+
     /// Rows from `first` on.
     pub(super) fn rows(&self, first: usize, count: usize) -> Rows<'_> {
         let width = self.size.width as usize;
-        let channels = self.channels.each_ref().map(|channel| &channel[first * width..(first + count) * width]);
+        let channels = if first < self.kept_of_frame {
+            self.channels.each_ref().map(|channel| &channel[first * width..(first + count) * width])
+        } else {
+            self.passing.each_ref().map(|channel| &channel[..count * width])
+        };
         Rows { geometry: &self.geometry, hdr: self.is_hdr(), first, count, channels }
     }
 
@@ -174,7 +198,7 @@ impl Panorama {
         self.take_by_rows(frame, self.size.height as usize, |_| {})
     }
 
-    /// The same, and shows every `count` rows to `see` as soon as they are there; the panorama's height is a multiple of that.
+    /// The same, and shows every `count` rows to `see` as soon as they are there; the panorama's height, and that of what is kept of it, are multiples of that.
     ///
     /// # Errors
     /// As [`Panorama::take`].
@@ -184,11 +208,13 @@ impl Panorama {
             Pixels::Video(video, colour) => {
                 let view = VideoView::new(video, *colour, frame.stereo)?;
                 self.prepare(*colour);
+                self.kept_of_frame = if self.is_hdr() { self.size.height as usize } else { self.kept };
                 self.take_video(&view, count, see);
             }
             Pixels::Rgb { width, height, texels, transfer } => {
                 let view = RgbView::new((*width, *height), texels, frame.stereo)?;
                 self.prepare(Colour { transfer: *transfer, ..Colour::default() });
+                self.kept_of_frame = self.size.height as usize;
                 self.take_rgb(&view, count, see);
             }
         }
@@ -206,11 +232,16 @@ impl Panorama {
         let supersample = if means { self.size.supersample.div_ceil(BLOCKS_IN_MEANS) } else { self.size.supersample };
         let grid = Grid { supersample, ..self.size };
         let (width, supersample) = (grid.width as usize, supersample as usize);
+        let kept = self.kept_of_frame;
         self.blocks.iter_mut().for_each(|plane| plane.resize(width * supersample, 0.0));
+        if kept < grid.height as usize {
+            self.passing.iter_mut().for_each(|plane| plane.resize(width * count, 0.0));
+        }
         for block_row in 0..grid.height * grid.supersample {
             let codes = self.video.row(view, block_row, grid, means);
             let (row, part) = (block_row as usize / supersample, block_row as usize % supersample);
-            let mut texels = self.channels.each_mut().map(|channel| &mut channel[row * width..(row + 1) * width]);
+            let (planes, place) = if row < kept { (&mut self.channels, row) } else { (&mut self.passing, row % count) };
+            let mut texels = planes.each_mut().map(|channel| &mut channel[place * width..(place + 1) * width]);
             if means && supersample == 1 {
                 self.table.decode_means(&codes, texels);
             } else {

@@ -120,6 +120,8 @@ impl Taps {
         let work = Average { taps: self, plane, rows, row, means, squares, with_squares };
         match arch {
             #[cfg(target_arch = "x86_64")]
+            Arch::V4(simd) => Simd::vectorize(simd, With(work, *simd)),
+            #[cfg(target_arch = "x86_64")]
             Arch::V3(simd) => Simd::vectorize(simd, With(work, simd)),
             arch => arch.dispatch(With(work, Plain)),
         }

@@ -26,6 +26,8 @@ pub(super) trait WithTranspose {
 pub(super) fn dispatch(arch: Arch, work: impl WithTranspose) {
     match arch {
         #[cfg(target_arch = "x86_64")]
+        Arch::V4(simd) => Simd::vectorize(simd, With(work, *simd)),
+        #[cfg(target_arch = "x86_64")]
         Arch::V3(simd) => Simd::vectorize(simd, With(work, simd)),
         arch => arch.dispatch(With(work, Plain)),
     }

@@ -1,7 +1,16 @@
 //! Rows of floats in whatever vectors there are. All of it is inlined into work that `pulp` dispatches: what is not, as closures often are
 //! not, knows nothing of the vectors and calls a function for each operation.
 
-use pulp::Simd;
+use pulp::{Arch, Simd};
+
+/// The widest vectors of this processor of which whole ones make a row, which is a power of two from 8 on.
+pub(super) fn arch_for_rows(width: usize) -> Arch {
+    match Arch::new() {
+        #[cfg(target_arch = "x86_64")]
+        Arch::V4(simd) if width < 16 => Arch::V3(*simd),
+        arch => arch,
+    }
+}
 
 /// How many vectors hold a row of this length.
 #[inline(always)]

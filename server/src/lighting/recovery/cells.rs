@@ -7,7 +7,7 @@ use crate::lighting::luminance::{self, Part};
 use crate::lighting::panorama::{Geometry, Rows};
 use crate::lighting::radiance::Planes;
 use crate::lighting::sampling::Grid;
-use crate::lighting::vectors::{add_sides, load, store, vectors};
+use crate::lighting::vectors::{add_sides, arch_for_rows, load, store, vectors};
 
 /// Most columns of cells: 2.8° at the horizon.
 const COLUMNS: usize = 128;
@@ -73,7 +73,7 @@ struct Sums {
 }
 
 impl Cells {
-    /// For panoramas of this size, whose width is a power of two from 8 on: whole vectors, of at most eight texels, make a row.
+    /// For panoramas of this size, whose width is a power of two from 8 on: whole vectors make a row.
     pub(super) fn new(size: Grid) -> Self {
         let (width, height) = (size.width as usize, size.height as usize);
         let side = (width / COLUMNS).max(1);
@@ -114,7 +114,7 @@ impl Cells {
             ground_weight: levels[height / 2..].iter().map(|level| f64::from(*level)).sum::<f64>() * width as f64,
             levels,
             sums: Sums { open_rgb: std::array::from_fn(|_| sums()), brightest: sums(), all: sums(), any: sums(), clipped_flux: sums() },
-            arch: Arch::new(),
+            arch: arch_for_rows(width),
         }
     }
 
@@ -204,16 +204,16 @@ impl Take<'_, '_> {
         }
     }
 
-    /// From the sums over a row of cells to its mean radiance.
+    /// From the sums over a row of cells to its energy, all of it open so far, and its mean radiance.
     #[inline(always)]
     fn average(&mut self, row: usize) {
-        let Cells { columns, side, solid_angle_sr, radiance, sums, .. } = &mut *self.cells;
-        let share = 1.0 / solid_angle_sr[row];
-        for (radiance, sums) in radiance.iter_mut().zip(&sums.open_rgb) {
-            let radiance = &mut radiance[row * *columns..(row + 1) * *columns];
-            add_sides(sums, *side, radiance);
-            for radiance in radiance {
-                *radiance *= share;
+        let Cells { columns, side, solid_angle_sr, radiance, open_rgb, sums, .. } = &mut *self.cells;
+        let (share, cells) = (1.0 / solid_angle_sr[row], row * *columns..(row + 1) * *columns);
+        for ((radiance, open), sums) in radiance.iter_mut().zip(open_rgb).zip(&sums.open_rgb) {
+            let open = &mut open[cells.clone()];
+            add_sides(sums, *side, open);
+            for (radiance, open) in radiance[cells.clone()].iter_mut().zip(open) {
+                *radiance = *open * share;
             }
         }
     }
@@ -292,8 +292,10 @@ impl Take<'_, '_> {
         let (red, green, blue) = (&mut red[cells.clone()], &mut green[cells.clone()], &mut blue[cells.clone()]);
         let (clipped_share, open_share) = (&mut clipped_share[cells.clone()], &mut open_share[cells.clone()]);
         let (shown, clipped_flux) = (&mut shown[cells.clone()], &mut clipped_flux[cells]);
-        for (open, sums) in [&mut *red, &mut *green, &mut *blue].into_iter().zip(&sums.open_rgb) {
-            add_sides(sums, *side, open);
+        if any {
+            for (open, sums) in [&mut *red, &mut *green, &mut *blue].into_iter().zip(&sums.open_rgb) {
+                add_sides(sums, *side, open);
+            }
         }
         for (((shown, r), g), b) in shown.iter_mut().zip(red).zip(green).zip(blue) {
             *shown = share * (LUMA.x * *r + LUMA.y * *g + LUMA.z * *b);

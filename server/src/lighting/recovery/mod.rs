@@ -28,7 +28,7 @@ mod places;
 #[cfg(test)]
 mod tests;
 
-use super::vectors::{load, repeat_sides, store, vectors};
+use super::vectors::{arch_for_rows, load, repeat_sides, store, vectors};
 use blur::Blur;
 use cells::Cells;
 use places::{Blurred, Places};
@@ -85,7 +85,7 @@ impl Recoverer {
             gains: field(),
             gains_of_row: vec![0.0; size.width as usize],
             series: Series::new(Grid { width: cells.columns as u32, height: cells.rows as u32, supersample: 1 }, SH25),
-            arch: Arch::new(),
+            arch: arch_for_rows(size.width as usize),
             cells,
         }
     }
@@ -271,6 +271,7 @@ impl WithSimd for Brighten<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> f64 {
         let Recoverer { cells, gains, gains_of_row, .. } = self.recoverer;
+        let kept = self.panorama.kept_rows();
         let Panorama { channels, geometry, .. } = self.panorama;
         let tint = [simd.splat_f32s(self.tint.x), simd.splat_f32s(self.tint.y), simd.splat_f32s(self.tint.z)];
         let width = gains_of_row.len();
@@ -294,7 +295,7 @@ impl WithSimd for Brighten<'_> {
                     let added = simd.mul_f32s(load(simd, &cells.lit[texels.clone()], patch), load(simd, gains_of_row, patch));
                     store(simd, &mut cells.lit[texels.clone()], patch, added);
                     of_row = simd.add_f32s(of_row, added);
-                    for (channel, tint) in channels.iter_mut().zip(&tint) {
+                    for (channel, tint) in channels.iter_mut().zip(&tint).filter(|_| texel_row < kept) {
                         let row = &mut channel[texels.clone()];
                         let radiance = simd.add_f32s(load(simd, row, patch), simd.mul_f32s(added, *tint));
                         store(simd, row, patch, radiance);
