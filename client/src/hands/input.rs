@@ -64,9 +64,9 @@ pub struct HandInput {
     pub grip: Option<Pose>,
     /// Where it points, as OpenXR's `aim/pose`.
     pub aim: Option<Pose>,
-    /// Trigger, 0 to 1.
+    /// Trigger, 0 to 1; not a number while it is not known, as without focus: then it and the menu button are as they were.
     pub select: f32,
-    /// Grip, 0 to 1.
+    /// Grip, 0 to 1; not a number while it is not known.
     pub squeeze: f32,
     /// Thumbstick or trackpad, each axis −1 to 1, right and up positive.
     pub stick: Vec2,

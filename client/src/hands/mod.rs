@@ -148,6 +148,7 @@ impl Hands {
         self.last = Some(input.now);
         let mut out = HandsOutput::default();
         for hand in 0..2 {
+            self.hands[hand].palette.keep_to(world.library());
             self.buttons(hand, &input, world, &mut out);
             self.stick(hand, &input, elapsed.min(MAX_FRAME_S), &mut out);
         }
@@ -157,6 +158,19 @@ impl Hands {
             self.point(hand, &input, world, &mut out);
         }
         out
+    }
+
+    /// Lets go of everything, without throwing it: nobody will say any more what these hands do. The wishes are as those of
+    /// [`Hands::update`].
+    pub fn let_go_of_all(&mut self) -> Vec<Action> {
+        self.span = None;
+        self.held.drain(..).map(|held| Action::Release(held.object, Motion::STILL)).collect()
+    }
+
+    /// The same where no hands were taken in for as long as a lost hand keeps what it holds, as while a headset is off.
+    pub fn let_go_when_idle(&mut self, now: ClientTime) -> Vec<Action> {
+        let idle = self.last.is_some_and(|last| now.0.saturating_sub(last.0) > hold::LOST_US);
+        if idle { self.let_go_of_all() } else { Vec::new() }
     }
 
     /// What a hand holds.
@@ -181,7 +195,9 @@ impl Hands {
                 _ => {}
             }
         }
-        match (self.hands[hand].menu.update(own.menu, input.now), self.holding(hand)) {
+        // What the runtime does not tell is as it was.
+        let menu = if own.select.is_nan() { self.hands[hand].menu.is_down() } else { own.menu };
+        match (self.hands[hand].menu.update(menu, input.now), self.holding(hand)) {
             (Press::Short, None) => self.hands[hand].palette.cycle(world.library()),
             (Press::Short, Some(at)) => self.snap(at, world, out),
             (Press::Long, None) => out.placing.push(PlacingChange::Recentre),
