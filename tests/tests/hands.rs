@@ -169,7 +169,7 @@ fn frames() -> impl Iterator<Item = HandsInput> {
     (0..frames).map(|frame| {
         let now = ClientTime(frame * FRAME_US);
         let seconds = now.0 as f32 * 1e-6;
-        HandsInput { hands: [THROWS.at(seconds), STACKS.at(seconds)], head: Pose::IDENTITY, now }
+        HandsInput { hands: [THROWS.at(seconds), STACKS.at(seconds)], head: Pose::IDENTITY, now, scale: 1.0 }
     })
 }
 

@@ -83,6 +83,8 @@ pub struct HandsInput {
     pub head: Pose,
     /// When all this is so: the predicted display time where there is one.
     pub now: ClientTime,
+    /// Size of the viewer, as a factor: their hands and reach are so much larger.
+    pub scale: f32,
 }
 
 impl HandsInput {
@@ -95,7 +97,8 @@ impl HandsInput {
             stick: if hand.stick.is_finite() { hand.stick.clamp(Vec2::NEG_ONE, Vec2::ONE) } else { Vec2::ZERO },
             ..hand
         });
-        Self { hands, head: self.head.checked().unwrap_or(Pose::IDENTITY), now: self.now }
+        let scale = if self.scale.is_finite() && self.scale > 0.0 { self.scale } else { 1.0 };
+        Self { hands, head: self.head.checked().unwrap_or(Pose::IDENTITY), now: self.now, scale }
     }
 }
 

@@ -26,7 +26,7 @@ pub use palette::{MAX_REACH_M, Palette};
 pub use placing::{Placing, PlacingChange};
 pub use throw::History;
 
-/// A hand this near to an object's bounds holds it itself, metres.
+/// A hand this near to an object's bounds holds it itself, metres of a viewer of usual size.
 const NEAR_M: f32 = 0.08;
 /// A stick counts from here on.
 const DEAD_ZONE: f32 = 0.25;
@@ -214,7 +214,7 @@ impl Hands {
             out.actions.extend(put);
             return;
         }
-        let (object, far, point) = match target(own, world) {
+        let (object, far, point) = match target(own, input.scale, world) {
             Pointed::Near(object) => (object, false, own.grip.map(|grip| grip.position)),
             Pointed::Far(object, at) => (object, true, Some(at)),
             Pointed::Nothing => return,
@@ -307,12 +307,12 @@ impl Hands {
 
     fn point(&mut self, hand: usize, input: &HandsInput, world: &impl World, out: &mut HandsOutput) {
         let own = &input.hands[hand];
-        out.drawn.extend(own.grip.map(|grip| looks::controller(hand, &grip)));
+        out.drawn.extend(own.grip.map(|grip| looks::controller(hand, &grip, input.scale)));
         if let Some(at) = self.holding(hand) {
             self.hands[hand].pointed = Some(self.held[at].object);
             let grip = self.held[at].grips[hand].filter(|grip| grip.far).zip(own.aim);
             if let Some((grip, aim)) = grip {
-                out.drawn.push(looks::ray(&aim, aim.position.distance(grip.holds_at(&aim))));
+                out.drawn.push(looks::ray(&aim, aim.position.distance(grip.holds_at(&aim)), input.scale));
             }
             return;
         }
@@ -321,16 +321,16 @@ impl Hands {
             let Some(aim) = own.aim else { return };
             let ghost = self.hands[hand].palette.ghost(&ray(&aim), world);
             let length = ghost.as_ref().map_or(MAX_REACH_M * 0.1, |ghost| ghost.transform.position.distance(aim.position));
-            out.drawn.push(looks::ray(&aim, length));
+            out.drawn.push(looks::ray(&aim, length, input.scale));
             out.drawn.extend(ghost);
             return;
         }
-        let pointed = match target(own, world) {
+        let pointed = match target(own, input.scale, world) {
             Pointed::Nothing => None,
             Pointed::Near(object) => Some(object),
             Pointed::Far(object, at) => {
-                out.drawn.extend(own.aim.map(|aim| looks::ray(&aim, aim.position.distance(at))));
-                out.drawn.push(looks::mark(at, input.head.position));
+                out.drawn.extend(own.aim.map(|aim| looks::ray(&aim, aim.position.distance(at), input.scale)));
+                out.drawn.push(looks::mark(at, input.head.position, input.scale));
                 Some(object)
             }
         };
@@ -341,9 +341,9 @@ impl Hands {
     }
 }
 
-/// What a hand that holds nothing would take: what it touches, else what its ray meets.
-fn target(input: &HandInput, world: &impl World) -> Pointed {
-    if let Some(object) = input.grip.and_then(|grip| world.near(grip.position, NEAR_M)) {
+/// What a hand of a viewer of this size that holds nothing would take: what it touches, else what its ray meets.
+fn target(input: &HandInput, viewer: f32, world: &impl World) -> Pointed {
+    if let Some(object) = input.grip.and_then(|grip| world.near(grip.position, NEAR_M * viewer)) {
         return Pointed::Near(object);
     }
     let hit = input.aim.and_then(|aim| Some((aim, world.pick(&ray(&aim))?)));

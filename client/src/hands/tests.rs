@@ -77,7 +77,7 @@ impl Stand {
             let pose = at(Vec3::new(x, -0.3, -0.3));
             HandInput { grip: Some(pose), aim: Some(pose), ..HandInput::default() }
         };
-        let input = HandsInput { hands: [hand(-1.0), hand(1.0)], head: Pose::IDENTITY, now: ClientTime(1_000_000) };
+        let input = HandsInput { hands: [hand(-1.0), hand(1.0)], head: Pose::IDENTITY, now: ClientTime(1_000_000), scale: 1.0 };
         Self { hands: Hands::default(), world: Things { things, library: LibraryItem::shapes() }, input, wished: Vec::new() }
     }
 
@@ -149,6 +149,20 @@ fn a_near_thing_is_touched_taken_turned_and_thrown() {
     assert!(motion.linear.distance(velocity) < 0.02 && motion.angular.length() < 0.01, "{motion:?}");
     assert_eq!(out.haptics[1], Some(RELEASED));
     assert!(stand.hands.held.is_empty());
+}
+
+#[test]
+fn hands_and_their_reach_grow_with_the_viewer() {
+    let mut stand = Stand::new();
+    stand.frame();
+    // 20 cm from the cube's side: too far for a hand, near for one that is three times as large.
+    stand.both(1, at(Vec3::new(0.6, -0.3, -0.5)));
+    assert_eq!(stand.frame().haptics, [None, None]);
+    stand.input.scale = 3.0;
+    let out = stand.frame();
+    assert_eq!(out.haptics, [None, Some(TOUCHED)]);
+    assert!(out.drawn.iter().all(|drawn| drawn.transform.scale.x >= 0.999 * 3.0 * 0.004), "{:?}", out.drawn);
+    assert_eq!(out.drawn.iter().filter(|drawn| drawn.casts && drawn.transform.scale == Vec3::splat(3.0)).count(), 2);
 }
 
 #[test]

@@ -304,6 +304,8 @@ fn parse_fps(text: &str) -> Result<f64, String> {
 
 #[cfg(test)]
 mod tests {
+    use clap::Parser;
+
     use super::*;
 
     #[test]
@@ -314,5 +316,24 @@ mod tests {
         for wrong in ["5", "-1", "", "Auto"] {
             assert!(parse_tier_choice(wrong).unwrap_err().contains("0 to 4"), "{wrong}");
         }
+    }
+
+    #[derive(clap::Parser)]
+    struct Line {
+        #[command(flatten)]
+        join: JoinArgs,
+    }
+
+    #[test]
+    fn limits_go_on_where_one_presenter_takes_the_place_of_another() {
+        let url = format!("https://127.0.0.1:1/#room=live,sha256={}", "ab".repeat(32));
+        let line = ["join", &url, "--mode", "window", "--frames", "100", "--duration", "60"];
+        let mut settings = Line::try_parse_from(line).unwrap().join.settle().unwrap();
+        assert_eq!((settings.window(0).frames, settings.window(0).duration), (Some(100), Some(Duration::from_secs(60))));
+        settings.begin(Instant::now().checked_sub(Duration::from_secs(25)).unwrap());
+        let (frames, duration) = (settings.headless(30).frames, settings.headless(30).duration.unwrap());
+        assert_eq!(frames, Some(70));
+        assert!(duration <= Duration::from_secs(35), "{duration:?}");
+        assert_eq!(settings.window(101).frames, Some(0));
     }
 }

@@ -412,14 +412,14 @@ mod tests {
         assert!(!stage.prepare().unwrap(), "held still, it looks the same");
 
         let pose = crate::hands::Pose { position: Vec3::ZERO, ..crate::hands::Pose::IDENTITY };
-        let local = [looks::controller(0, &pose), looks::ray(&pose, 2.0)];
+        let local = [looks::controller(0, &pose, 1.0), looks::ray(&pose, 2.0, 1.0)];
         stage.show_local(&local);
         assert!(stage.prepare().unwrap());
         draw(&mut stage, true);
         assert!(!stage.prepare().unwrap() && stage.warned.is_empty());
         assert_eq!(picked(&stage, 0.0), None);
         // Moved, they stay in the layout; one less, and all is laid out anew. Neither is the shared scene's business.
-        stage.show_local(&[looks::controller(0, &crate::hands::Pose { position: Vec3::Y, ..pose }), looks::ray(&pose, 3.0)]);
+        stage.show_local(&[looks::controller(0, &crate::hands::Pose { position: Vec3::Y, ..pose }, 1.0), looks::ray(&pose, 3.0, 1.0)]);
         assert!(!stage.local_changed && stage.prepare().unwrap());
         draw(&mut stage, true);
         stage.show_local(&local[..1]);

@@ -110,7 +110,7 @@ impl Deed {
         }
         let at = ClientTime(at_us);
         match (hands, action) {
-            (Some(BothHands { hands, head }), None) => Ok(Self::Hands(HandsInput { hands, head, now: at })),
+            (Some(BothHands { hands, head }), None) => Ok(Self::Hands(HandsInput { hands, head, now: at, scale: 1.0 })),
             (None, Some(action)) => {
                 let intent = Intent { sequence: 0, action };
                 intent.validate().map_err(|error| error.to_string())?;
@@ -122,7 +122,7 @@ impl Deed {
 
     fn line(&self) -> Line {
         let (at_us, hands, action) = match self.clone() {
-            Self::Hands(HandsInput { hands, head, now }) => (now.0, Some(BothHands { hands, head }), None),
+            Self::Hands(HandsInput { hands, head, now, .. }) => (now.0, Some(BothHands { hands, head }), None),
             Self::Action(at, action) => (at.0, None, Some(action)),
         };
         Line { at_us, hands, action }
@@ -181,7 +181,7 @@ mod tests {
         let moved = Transform { position: Vec3::new(1.0 / 7.0, -0.0, 3e-38), ..Transform::default() };
         let motion = Motion { linear: Vec3::new(1.0, 2.0, 3.1), angular: Vec3::ZERO };
         vec![
-            Deed::Hands(HandsInput { hands: [HandInput::default(), hand], head: pose, now: ClientTime(5) }),
+            Deed::Hands(HandsInput { hands: [HandInput::default(), hand], head: pose, now: ClientTime(5), scale: 1.0 }),
             Deed::Action(ClientTime(7), Action::Grab(ObjectId(3))),
             Deed::Action(ClientTime(7), Action::Move(ObjectId(3), moved)),
             Deed::Action(ClientTime(9), Action::Release(ObjectId(3), motion)),

@@ -178,9 +178,6 @@ fn is_published(session: &Session) -> bool {
 fn a_full_scene_takes_what_is_put_for_what_is_removed() {
     let mut session = session();
     fill(&mut session);
-    for object in session.scene.objects.iter_mut() {
-        object.transform.position.y = 5.0;
-    }
     publish_all(&mut session);
     for round in 0..3u32 {
         // So that what is put would have its turn first.
