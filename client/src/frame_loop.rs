@@ -148,8 +148,11 @@ pub trait Stage: World {
     /// Shows at once what this user does, without the server's word.
     fn predict(&mut self, action: &Action, now: ClientTime);
 
-    /// Shows these beside the scene from the next frame on, to this viewer alone.
+    /// Shows these beside the scene from the next frame on, to this viewer alone: the user's hands, and what they point with.
     fn show_local(&mut self, objects: &[LocalObject]);
+
+    /// As [`Stage::show_local`], beside it: those of a script that is played.
+    fn show_script(&mut self, _objects: &[LocalObject]) {}
 }
 
 /// When a picture is, in the time of its broadcast.

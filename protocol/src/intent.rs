@@ -4,18 +4,50 @@ use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
 use crate::codec::{Message, WireError, ensure_in_range};
-use crate::scene::{MAX_LIBRARY, ObjectId, Transform};
+use crate::scene::{MAX_LIBRARY, MAX_OBJECTS, ObjectId, Transform};
 
 /// Nothing is thrown faster on any axis, metres a second: about what a hand can do, and what a fixed step can follow.
 pub const MAX_SPEED_M_S: f32 = 20.0;
 /// Nothing is let go of spinning faster about any axis, radians a second.
 pub const MAX_SPIN_RAD_S: f32 = 40.0;
 
+/// Most objects that one user holds at a time: two hands hold two, a script may want some more.
+pub const MAX_HELD: usize = 8;
+/// Most objects of a scene that one user has put there: an eighth of a full scene, so that nobody fills it alone.
+pub const MAX_PUT: usize = MAX_OBJECTS / 8;
+/// A user puts and removes so many objects at once, then as many again as time passes: more than fingers do.
+pub const PUT_BURST: u32 = 32;
+/// One more for each of these, microseconds.
+pub const PUT_INTERVAL_US: u64 = 250_000;
+/// A viewer says again what its user holds after so long, microseconds.
+pub const HOLD_AGAIN_US: u64 = 1_000_000;
+/// What nobody has said to be held for so long is let go of, microseconds: a release that was lost holds nothing for ever.
+pub const HOLD_LOST_US: u64 = 10_000_000;
+
+/// How often something may be done (the generic cell rate algorithm, ITU-T I.371, annex A).
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Rate {
+    /// When all that was done would have been due at an even pace, microseconds.
+    due_us: u64,
+}
+
+impl Rate {
+    /// Whether it may be done now, which then counts: up to `burst` times at once, and once every [`PUT_INTERVAL_US`].
+    pub fn take(&mut self, now_us: u64, burst: u32) -> bool {
+        let due = self.due_us.max(now_us);
+        let free = due - now_us <= u64::from(burst.saturating_sub(1)) * PUT_INTERVAL_US;
+        if free {
+            self.due_us = due.saturating_add(PUT_INTERVAL_US);
+        }
+        free
+    }
+}
+
 /// A user's wish; the server decides.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Intent {
-    /// Rises with every intent of this user, also over a restart of their program (it begins at the time of day); a lower one that
-    /// comes late is dropped.
+    /// Rises with every intent of this user, also over a restart of their program (it begins at the time of day). Of those of one object a
+    /// lower one that comes late is dropped, and what is put is put once.
     pub sequence: u64,
     /// What is wished for.
     pub action: Action,
@@ -105,6 +137,17 @@ mod tests {
     use proptest::prelude::*;
 
     const CUBE: ObjectId = ObjectId(1);
+
+    #[test]
+    fn a_rate_allows_a_burst_and_then_an_even_pace() {
+        let mut rate = Rate::default();
+        let burst = |rate: &mut Rate, now| (0..100).filter(|_| rate.take(now, PUT_BURST)).count();
+        assert_eq!(burst(&mut rate, 5_000_000), PUT_BURST as usize);
+        assert_eq!(burst(&mut rate, 5_000_000 + PUT_INTERVAL_US - 1), 0);
+        assert_eq!(burst(&mut rate, 5_000_000 + 3 * PUT_INTERVAL_US), 3);
+        assert_eq!(burst(&mut rate, 90_000_000), PUT_BURST as usize);
+        assert!(!Rate { due_us: u64::MAX }.take(0, PUT_BURST));
+    }
 
     #[test]
     fn every_range_is_guarded() {

@@ -28,6 +28,9 @@ pub const MAX_POSITION_M: f32 = 1_000.0;
 /// Scales lie in [1/this, this].
 pub const MAX_SCALE: f32 = 1_000.0;
 
+/// From here on ids are of each viewer's own objects, as hands and rays, which nobody else has: no scene holds one.
+pub const FIRST_LOCAL_ID: u32 = u32::MAX - 128;
+
 /// Names an object for as long as it exists.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct ObjectId(pub u32);
@@ -255,7 +258,12 @@ pub enum Change {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum SceneMessage {
     /// The whole scene.
-    Snapshot(Scene),
+    Snapshot {
+        /// When all this was so, as of a delta.
+        at_us: u64,
+        /// As it was.
+        scene: Scene,
+    },
     /// Turns revision `revision − 1` into `revision`.
     Delta {
         /// Revision after the changes.
@@ -299,7 +307,7 @@ impl Scene {
     /// [`ApplyError`] when a delta does not fit.
     pub fn apply(&mut self, message: &SceneMessage) -> Result<(), ApplyError> {
         match message {
-            SceneMessage::Snapshot(scene) => self.clone_from(scene),
+            SceneMessage::Snapshot { scene, .. } => self.clone_from(scene),
             SceneMessage::Delta { revision, changes, .. } => {
                 // A snapshot may carry any revision, the last one included: then nothing can follow it.
                 if self.revision.checked_add(1) != Some(*revision) {
@@ -387,11 +395,12 @@ impl Material {
 }
 
 impl Object {
-    /// Bounds the transform, the material and the animation's name; `message` names what carries it.
+    /// Bounds the id, the transform, the material and the animation's name; `message` names what carries it.
     ///
     /// # Errors
     /// [`WireError::OutOfRange`] naming the field.
     pub fn validate(&self, message: &'static str) -> Result<(), WireError> {
+        ensure_in_range(self.id.0 < FIRST_LOCAL_ID, message, "id", || format!("{}, below {FIRST_LOCAL_ID}", self.id.0))?;
         self.transform.validate(message)?;
         self.material.map_or(Ok(()), |material| material.validate(message))?;
         match &self.animation {
@@ -432,12 +441,12 @@ impl Scene {
 impl Message for SceneMessage {
     const NAME: &'static str = "scene message";
     /// 2: objects have a [`Playback`], scenes have meshes of the place. 3: scenes have a library, deltas say when they were, ground and
-    /// place have a [`Gloss`].
-    const VERSION: u8 = 3;
+    /// place have a [`Gloss`]. 4: snapshots say when they were.
+    const VERSION: u8 = 4;
 
     fn validate(&self) -> Result<(), WireError> {
         match self {
-            Self::Snapshot(scene) => scene.validate(Self::NAME),
+            Self::Snapshot { scene, .. } => scene.validate(Self::NAME),
             Self::Delta { changes, .. } => {
                 ensure_in_range(changes.len() <= MAX_CHANGES, Self::NAME, "changes", || {
                     format!("{}, at most {MAX_CHANGES}", changes.len())

@@ -19,6 +19,9 @@ const GROUND_Y: f32 = -1.6;
 const FOOT: ObjectId = ObjectId(1);
 const CUBE: ObjectId = ObjectId(2);
 const BALL: ObjectId = ObjectId(3);
+/// What Bob puts.
+const PUT: ObjectId = ObjectId(4);
+const TAKEN_AWAY: ObjectId = ObjectId(5);
 /// Of the cubes' sides and the ball's diameter, metres.
 const SIZE_M: f32 = 0.3;
 const FRAME_US: u64 = 11_111;
@@ -166,7 +169,7 @@ fn frames() -> impl Iterator<Item = HandsInput> {
     (0..frames).map(|frame| {
         let now = ClientTime(frame * FRAME_US);
         let seconds = now.0 as f32 * 1e-6;
-        HandsInput { hands: [THROWS.at(seconds), STACKS.at(seconds)], head: Pose::IDENTITY, now }
+        HandsInput { hands: [THROWS.at(seconds), STACKS.at(seconds)], head: Pose::IDENTITY, now, scale: 1.0 }
     })
 }
 
@@ -240,7 +243,7 @@ fn carry_out(scripts: &[(&str, Vec<Deed>)]) -> Result<Scene> {
     room.settle()
 }
 
-/// Ann stacks, and meanwhile Bob throws the ball.
+/// Ann stacks, and meanwhile Bob throws the ball, puts two things from the library, and takes one of them away again.
 fn scripts() -> [(&'static str, Vec<Deed>); 2] {
     let to = |position| Transform { position, scale: Vec3::splat(SIZE_M), ..Transform::default() };
     let lead = |object, from: Vec3, to_: Vec3, begin: u64, frames: u64| {
@@ -258,6 +261,11 @@ fn scripts() -> [(&'static str, Vec<Deed>); 2] {
     bob.extend(lead(BALL, Vec3::new(-0.6, -0.2, -0.6), Vec3::new(-0.6, 0.2, -1.4), 220_000, 18));
     let motion = Motion { linear: Vec3::new(0.0, 2.0, -4.0), angular: Vec3::new(-3.0, 0.0, 0.0) };
     bob.push(Deed::Action(ClientTime(430_000), Action::Release(BALL, motion)));
+    for (at, x) in [(600_000, 3.0), (700_000, 5.0)] {
+        let transform = Transform { position: Vec3::new(x, -0.6, -3.0), rotation: Quat::from_rotation_x(0.4), scale: Vec3::splat(SIZE_M) };
+        bob.push(Deed::Action(ClientTime(at), Action::Put { item: 1, transform }));
+    }
+    bob.push(Deed::Action(ClientTime(1_400_000), Action::Remove(TAKEN_AWAY)));
     [("ann", ann), ("bob", bob)]
 }
 
@@ -272,11 +280,13 @@ fn write(path: &Path, deeds: &[Deed]) -> Result<()> {
 /// Where the network's timing changes what a held cube pushes as it is set down, metres.
 const SAME_M: f32 = 2e-3;
 
-/// The ball, which touched nothing while it was held, is there to the last bit, the cubes nearly.
+/// The ball, which touched nothing while it was held, and what was put are there to the last bit, the cubes nearly, and nothing else is.
 fn is_same(scene: &Scene, expected: &Scene) -> bool {
     let both = |id| scene.object(id).zip(expected.object(id)).map(|(a, b)| (a.transform, b.transform));
     let near = |id| both(id).is_some_and(|(a, b)| a.position.distance(b.position) < SAME_M);
-    both(BALL).is_some_and(|(a, b)| a == b) && near(FOOT) && near(CUBE)
+    let same = |id| both(id).is_some_and(|(a, b)| a == b);
+    let ids = |scene: &Scene| scene.objects.iter().map(|object| object.id).collect::<Vec<_>>();
+    ids(scene) == ids(expected) && same(BALL) && (same(PUT) || expected.object(PUT).is_none()) && near(FOOT) && near(CUBE)
 }
 
 /// Waits until the server's scene is this one.
@@ -318,6 +328,7 @@ fn wishes_of_two_viewers_end_where_the_session_alone_ends() -> Result<()> {
     let scripts = scripts();
     let expected = carry_out(&scripts)?;
     is_stacked_and_thrown(&expected)?;
+    ensure!(expected.object(PUT).is_some() && expected.object(TAKEN_AWAY).is_none(), "{expected:?}");
     ensure!(bits(&carry_out(&scripts)?) == bits(&expected), "the same wishes end elsewhere");
     let folder = tempfile::tempdir()?;
     let paths: Vec<_> = scripts.iter().map(|(user, _)| folder.path().join(format!("{user}.jsonl"))).collect();

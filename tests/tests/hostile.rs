@@ -113,7 +113,7 @@ fn random_bytes_on_every_track_are_refused_and_survived() -> Result<()> {
         material: None,
         animation: Default::default(),
     };
-    let snapshot = SceneMessage::Snapshot(Scene { objects: vec![model], ..Scene::default() }).to_wire()?;
+    let snapshot = SceneMessage::Snapshot { at_us: 0, scene: Scene { objects: vec![model], ..Scene::default() } }.to_wire()?;
     let dark = LightFrame { pts_us: 0, published_us: 0, lift: Lift::Linear, sh: vec![Vec3::ZERO; 9], lights: Vec::new() };
     let versions = [dark.to_wire()?[0], snapshot[0]];
 
@@ -196,7 +196,7 @@ fn a_wish_moves_the_object_for_everyone_and_senseless_wishes_move_nothing() -> R
     let [rogue, user, witness] = [0, 1, 2].map(|_| Probe::join(&server.join_url));
     let (rogue, user, witness) = (rogue?, user?, witness?);
     let cube = witness.scene("the first snapshot", |message| match message {
-        SceneMessage::Snapshot(scene) => scene.objects.first().cloned(),
+        SceneMessage::Snapshot { scene, .. } => scene.objects.first().cloned(),
         SceneMessage::Delta { .. } => None,
     })?;
     ensure!(cube.geometry == Geometry::Shape(Shape::Cube), "{cube:?}");
@@ -222,7 +222,7 @@ fn a_wish_moves_the_object_for_everyone_and_senseless_wishes_move_nothing() -> R
     let wish = Intent { sequence: 1, action: Action::Move(cube.id, near) }.to_wire()?;
     let _user_broadcast = publish_intents(&user, "user", vec![wish])?;
     let place = witness.scene("the cube's new place", |message| match message {
-        SceneMessage::Snapshot(_) => None,
+        SceneMessage::Snapshot { .. } => None,
         SceneMessage::Delta { changes, .. } => changes.iter().find_map(|change| match change {
             Change::Move(id, transform) if *id == cube.id => Some(*transform),
             _ => None,

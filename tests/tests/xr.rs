@@ -477,7 +477,7 @@ fn a_hand_in_the_headset_moves_what_it_holds() -> Result<()> {
     remote.set(&script(right(0.4, 1.0)))?;
     let moved = probe.scene("the ball has moved", |message| {
         let objects: Vec<Vec3> = match message {
-            SceneMessage::Snapshot(scene) => scene.objects.iter().map(|object| object.transform.position).collect(),
+            SceneMessage::Snapshot { scene, .. } => scene.objects.iter().map(|object| object.transform.position).collect(),
             SceneMessage::Delta { changes, .. } => changes.iter().filter_map(position).collect(),
         };
         objects.into_iter().find(|position| position.x > CENTER.x + 0.3)

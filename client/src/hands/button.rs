@@ -51,6 +51,10 @@ pub(super) struct Menu {
 }
 
 impl Menu {
+    pub(super) fn is_down(&self) -> bool {
+        self.since.is_some()
+    }
+
     pub(super) fn update(&mut self, down: bool, now: ClientTime) -> Press {
         match (self.since, down) {
             (None, true) => {

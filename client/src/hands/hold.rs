@@ -9,7 +9,7 @@ use super::input::{HandInput, Pose};
 use super::throw::History;
 
 /// A hand that is not tracked keeps what it holds for so long, microseconds.
-const LOST_US: u64 = 1_000_000;
+pub(super) const LOST_US: u64 = 1_000_000;
 /// Hands that are nearer to each other do not scale what they hold, metres: the ratio would be noise.
 const MIN_SPAN_M: f32 = 0.03;
 /// Smallest and largest side of a thing that hands scale, as its factor.

@@ -64,9 +64,9 @@ pub struct HandInput {
     pub grip: Option<Pose>,
     /// Where it points, as OpenXR's `aim/pose`.
     pub aim: Option<Pose>,
-    /// Trigger, 0 to 1.
+    /// Trigger, 0 to 1; not a number while it is not known, as without focus: then it and the menu button are as they were.
     pub select: f32,
-    /// Grip, 0 to 1.
+    /// Grip, 0 to 1; not a number while it is not known.
     pub squeeze: f32,
     /// Thumbstick or trackpad, each axis −1 to 1, right and up positive.
     pub stick: Vec2,
@@ -83,6 +83,8 @@ pub struct HandsInput {
     pub head: Pose,
     /// When all this is so: the predicted display time where there is one.
     pub now: ClientTime,
+    /// Size of the viewer, as a factor: their hands and reach are so much larger.
+    pub scale: f32,
 }
 
 impl HandsInput {
@@ -95,7 +97,8 @@ impl HandsInput {
             stick: if hand.stick.is_finite() { hand.stick.clamp(Vec2::NEG_ONE, Vec2::ONE) } else { Vec2::ZERO },
             ..hand
         });
-        Self { hands, head: self.head.checked().unwrap_or(Pose::IDENTITY), now: self.now }
+        let scale = if self.scale.is_finite() && self.scale > 0.0 { self.scale } else { 1.0 };
+        Self { hands, head: self.head.checked().unwrap_or(Pose::IDENTITY), now: self.now, scale }
     }
 }
 

@@ -33,28 +33,29 @@ pub fn model(id: AssetId) -> Option<Arc<Model>> {
     [&*RAY, &*MARK_MODEL].into_iter().chain(&*CONTROLLERS).find(|(own, _)| *own == id).map(|(_, model)| Arc::clone(model))
 }
 
-/// A ray from a hand, so many metres long.
-pub(crate) fn ray(aim: &Pose, length_m: f32) -> LocalObject {
-    let (direction, length) = (aim.forward(), length_m.max(RAY_M));
+/// A ray from a hand of a viewer of this size, so many metres long.
+pub(crate) fn ray(aim: &Pose, length_m: f32, viewer: f32) -> LocalObject {
+    let thick = RAY_M * viewer;
+    let (direction, length) = (aim.forward(), length_m.max(thick));
     let transform = Transform {
         position: aim.position + direction * (length * 0.5),
         rotation: along(direction).normalize(),
-        scale: Vec3::new(RAY_M, length, RAY_M),
+        scale: Vec3::new(thick, length, thick),
     };
     local(RAY.0, transform, false)
 }
 
-/// Where a ray meets something, seen from `eyes`.
-pub(super) fn mark(at: Vec3, eyes: Vec3) -> LocalObject {
-    let size = (at.distance(eyes) * MARK).max(RAY_M);
+/// Where a ray meets something, seen from `eyes` of a viewer of this size.
+pub(super) fn mark(at: Vec3, eyes: Vec3, viewer: f32) -> LocalObject {
+    let size = (at.distance(eyes) * MARK).max(RAY_M * viewer);
     local(MARK_MODEL.0, Transform { position: at, rotation: Quat::IDENTITY, scale: Vec3::splat(size) }, false)
 }
 
-/// A controller in the left hand, 0, or the right one, 1.
-pub(crate) fn controller(hand: usize, grip: &Pose) -> LocalObject {
+/// A controller in the left hand, 0, or the right one, 1, of a viewer of this size.
+pub(crate) fn controller(hand: usize, grip: &Pose, viewer: f32) -> LocalObject {
     let [left, right] = &*CONTROLLERS;
     let (id, _) = if hand == 0 { left } else { right };
-    local(*id, Transform { position: grip.position, rotation: grip.orientation, scale: Vec3::ONE }, true)
+    local(*id, Transform { position: grip.position, rotation: grip.orientation, scale: Vec3::splat(viewer) }, true)
 }
 
 fn local(id: AssetId, transform: Transform, casts: bool) -> LocalObject {
@@ -105,7 +106,7 @@ mod tests {
     #[test]
     fn a_ray_reaches_from_the_hand_to_where_it_ends() {
         let aim = Pose { position: Vec3::new(0.2, 1.0, 0.3), orientation: Quat::from_rotation_y(0.7) * Quat::from_rotation_x(-0.4) };
-        let drawn = ray(&aim, 2.5);
+        let drawn = ray(&aim, 2.5, 1.0);
         let end = |y: f32| drawn.transform.position + drawn.transform.rotation * (Vec3::Y * y * drawn.transform.scale);
         assert!(end(-0.5).distance(aim.position) < 1e-5);
         assert!(end(0.5).distance(aim.position + aim.forward() * 2.5) < 1e-5);
@@ -118,7 +119,7 @@ mod tests {
     #[test]
     fn what_is_drawn_is_made_here_and_within_a_hand() {
         for hand in 0..2 {
-            let drawn = controller(hand, &Pose::IDENTITY);
+            let drawn = controller(hand, &Pose::IDENTITY, 1.0);
             let Geometry::Model(id) = drawn.geometry else { panic!("{drawn:?}") };
             let model = model(id).unwrap();
             assert!(model.bounds.half().max_element() < 0.15 && model.parts.len() == 5);
@@ -126,7 +127,7 @@ mod tests {
                 assert!((Vec3::from_array(vertex.normal).length() - 1.0).abs() < 1e-4);
             }
         }
-        assert_ne!(controller(0, &Pose::IDENTITY).geometry, controller(1, &Pose::IDENTITY).geometry);
+        assert_ne!(controller(0, &Pose::IDENTITY, 1.0).geometry, controller(1, &Pose::IDENTITY, 1.0).geometry);
         assert!(model(AssetId::of(b"another")).is_none());
     }
 }

@@ -26,7 +26,7 @@ pub use palette::{MAX_REACH_M, Palette};
 pub use placing::{Placing, PlacingChange};
 pub use throw::History;
 
-/// A hand this near to an object's bounds holds it itself, metres.
+/// A hand this near to an object's bounds holds it itself, metres of a viewer of usual size.
 const NEAR_M: f32 = 0.08;
 /// A stick counts from here on.
 const DEAD_ZONE: f32 = 0.25;
@@ -148,6 +148,7 @@ impl Hands {
         self.last = Some(input.now);
         let mut out = HandsOutput::default();
         for hand in 0..2 {
+            self.hands[hand].palette.keep_to(world.library());
             self.buttons(hand, &input, world, &mut out);
             self.stick(hand, &input, elapsed.min(MAX_FRAME_S), &mut out);
         }
@@ -157,6 +158,19 @@ impl Hands {
             self.point(hand, &input, world, &mut out);
         }
         out
+    }
+
+    /// Lets go of everything, without throwing it: nobody will say any more what these hands do. The wishes are as those of
+    /// [`Hands::update`].
+    pub fn let_go_of_all(&mut self) -> Vec<Action> {
+        self.span = None;
+        self.held.drain(..).map(|held| Action::Release(held.object, Motion::STILL)).collect()
+    }
+
+    /// The same where no hands were taken in for as long as a lost hand keeps what it holds, as while a headset is off.
+    pub fn let_go_when_idle(&mut self, now: ClientTime) -> Vec<Action> {
+        let idle = self.last.is_some_and(|last| now.0.saturating_sub(last.0) > hold::LOST_US);
+        if idle { self.let_go_of_all() } else { Vec::new() }
     }
 
     /// What a hand holds.
@@ -181,7 +195,9 @@ impl Hands {
                 _ => {}
             }
         }
-        match (self.hands[hand].menu.update(own.menu, input.now), self.holding(hand)) {
+        // What the runtime does not tell is as it was.
+        let menu = if own.select.is_nan() { self.hands[hand].menu.is_down() } else { own.menu };
+        match (self.hands[hand].menu.update(menu, input.now), self.holding(hand)) {
             (Press::Short, None) => self.hands[hand].palette.cycle(world.library()),
             (Press::Short, Some(at)) => self.snap(at, world, out),
             (Press::Long, None) => out.placing.push(PlacingChange::Recentre),
@@ -198,7 +214,7 @@ impl Hands {
             out.actions.extend(put);
             return;
         }
-        let (object, far, point) = match target(own, world) {
+        let (object, far, point) = match target(own, input.scale, world) {
             Pointed::Near(object) => (object, false, own.grip.map(|grip| grip.position)),
             Pointed::Far(object, at) => (object, true, Some(at)),
             Pointed::Nothing => return,
@@ -291,12 +307,12 @@ impl Hands {
 
     fn point(&mut self, hand: usize, input: &HandsInput, world: &impl World, out: &mut HandsOutput) {
         let own = &input.hands[hand];
-        out.drawn.extend(own.grip.map(|grip| looks::controller(hand, &grip)));
+        out.drawn.extend(own.grip.map(|grip| looks::controller(hand, &grip, input.scale)));
         if let Some(at) = self.holding(hand) {
             self.hands[hand].pointed = Some(self.held[at].object);
             let grip = self.held[at].grips[hand].filter(|grip| grip.far).zip(own.aim);
             if let Some((grip, aim)) = grip {
-                out.drawn.push(looks::ray(&aim, aim.position.distance(grip.holds_at(&aim))));
+                out.drawn.push(looks::ray(&aim, aim.position.distance(grip.holds_at(&aim)), input.scale));
             }
             return;
         }
@@ -305,16 +321,16 @@ impl Hands {
             let Some(aim) = own.aim else { return };
             let ghost = self.hands[hand].palette.ghost(&ray(&aim), world);
             let length = ghost.as_ref().map_or(MAX_REACH_M * 0.1, |ghost| ghost.transform.position.distance(aim.position));
-            out.drawn.push(looks::ray(&aim, length));
+            out.drawn.push(looks::ray(&aim, length, input.scale));
             out.drawn.extend(ghost);
             return;
         }
-        let pointed = match target(own, world) {
+        let pointed = match target(own, input.scale, world) {
             Pointed::Nothing => None,
             Pointed::Near(object) => Some(object),
             Pointed::Far(object, at) => {
-                out.drawn.extend(own.aim.map(|aim| looks::ray(&aim, aim.position.distance(at))));
-                out.drawn.push(looks::mark(at, input.head.position));
+                out.drawn.extend(own.aim.map(|aim| looks::ray(&aim, aim.position.distance(at), input.scale)));
+                out.drawn.push(looks::mark(at, input.head.position, input.scale));
                 Some(object)
             }
         };
@@ -325,9 +341,9 @@ impl Hands {
     }
 }
 
-/// What a hand that holds nothing would take: what it touches, else what its ray meets.
-fn target(input: &HandInput, world: &impl World) -> Pointed {
-    if let Some(object) = input.grip.and_then(|grip| world.near(grip.position, NEAR_M)) {
+/// What a hand of a viewer of this size that holds nothing would take: what it touches, else what its ray meets.
+fn target(input: &HandInput, viewer: f32, world: &impl World) -> Pointed {
+    if let Some(object) = input.grip.and_then(|grip| world.near(grip.position, NEAR_M * viewer)) {
         return Pointed::Near(object);
     }
     let hit = input.aim.and_then(|aim| Some((aim, world.pick(&ray(&aim))?)));

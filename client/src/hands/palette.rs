@@ -13,9 +13,11 @@ use crate::scene::pick::Ray;
 pub const MAX_REACH_M: f32 = 30.0;
 
 /// What of the library is in hand.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Palette {
     item: Option<usize>,
+    /// Of the item.
+    name: Option<String>,
     /// Of the ghost, about the vertical, radians.
     yaw_rad: f32,
     /// Of the ghost, beside the item's own.
@@ -31,13 +33,21 @@ impl Palette {
 
     /// The next item; none after the last.
     pub fn cycle(&mut self, library: &[LibraryItem]) {
-        let next = self.item.map_or(0, |item| item + 1);
-        self.choose((next < library.len()).then_some(next));
+        self.choose(Some(self.item.map_or(0, |item| item + 1)), library);
     }
 
-    /// This item, or none.
-    pub fn choose(&mut self, item: Option<usize>) {
-        *self = Self { item, yaw_rad: 0.0, scale: 1.0 };
+    /// This item; none where the library has no such.
+    pub fn choose(&mut self, item: Option<usize>, library: &[LibraryItem]) {
+        let chosen = item.and_then(|item| Some((item, library.get(item)?)));
+        *self = Self { item: chosen.map(|(item, _)| item), name: chosen.map(|(_, item)| item.name.clone()), yaw_rad: 0.0, scale: 1.0 };
+    }
+
+    /// Puts the item away that the library does not hold any more where it was, as after a new broadcast.
+    pub fn keep_to(&mut self, library: &[LibraryItem]) {
+        let there = self.item.and_then(|item| library.get(item)).map(|item| &item.name);
+        if there != self.name.as_ref() {
+            self.choose(None, library);
+        }
     }
 
     /// Turns the ghost left, radians.

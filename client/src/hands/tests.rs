@@ -77,7 +77,7 @@ impl Stand {
             let pose = at(Vec3::new(x, -0.3, -0.3));
             HandInput { grip: Some(pose), aim: Some(pose), ..HandInput::default() }
         };
-        let input = HandsInput { hands: [hand(-1.0), hand(1.0)], head: Pose::IDENTITY, now: ClientTime(1_000_000) };
+        let input = HandsInput { hands: [hand(-1.0), hand(1.0)], head: Pose::IDENTITY, now: ClientTime(1_000_000), scale: 1.0 };
         Self { hands: Hands::default(), world: Things { things, library: LibraryItem::shapes() }, input, wished: Vec::new() }
     }
 
@@ -149,6 +149,20 @@ fn a_near_thing_is_touched_taken_turned_and_thrown() {
     assert!(motion.linear.distance(velocity) < 0.02 && motion.angular.length() < 0.01, "{motion:?}");
     assert_eq!(out.haptics[1], Some(RELEASED));
     assert!(stand.hands.held.is_empty());
+}
+
+#[test]
+fn hands_and_their_reach_grow_with_the_viewer() {
+    let mut stand = Stand::new();
+    stand.frame();
+    // 20 cm from the cube's side: too far for a hand, near for one that is three times as large.
+    stand.both(1, at(Vec3::new(0.6, -0.3, -0.5)));
+    assert_eq!(stand.frame().haptics, [None, None]);
+    stand.input.scale = 3.0;
+    let out = stand.frame();
+    assert_eq!(out.haptics, [None, Some(TOUCHED)]);
+    assert!(out.drawn.iter().all(|drawn| drawn.transform.scale.x >= 0.999 * 3.0 * 0.004), "{:?}", out.drawn);
+    assert_eq!(out.drawn.iter().filter(|drawn| drawn.casts && drawn.transform.scale == Vec3::splat(3.0)).count(), 2);
 }
 
 #[test]
@@ -402,4 +416,62 @@ fn senseless_input_makes_no_senseless_wish() {
     }
     let thrown = stand.wished.iter().filter(|action| matches!(action, Action::Release(..))).count();
     assert!(thrown > 50 && stand.wished.len() > 500, "{thrown} of {}", stand.wished.len());
+}
+
+#[test]
+fn a_controller_that_is_gone_with_its_buttons_throws_nothing_and_presses_nothing() {
+    let mut stand = Stand::new();
+    stand.both(1, at(Vec3::new(0.3, -0.3, -0.5)));
+    stand.squeeze(1, 1.0);
+    stand.input.hands[1].menu = true;
+    stand.lead(1, Vec3::new(0.3, 0.7, -0.5), 10);
+    let lost = HandInput { select: f32::NAN, squeeze: f32::NAN, ..HandInput::default() };
+    let held = std::mem::replace(&mut stand.input.hands[1], lost);
+    assert!((0..45).all(|_| stand.frame().actions.is_empty()), "{:?}", stand.wished);
+    // Back within the second it goes on.
+    stand.input.hands[1] = HandInput { menu: false, ..held };
+    let there = stand.transform(CUBE);
+    stand.frame();
+    assert!(!stand.hands.held.is_empty() || stand.transform(CUBE) != there);
+    let mut stand = Stand::new();
+    stand.both(1, at(Vec3::new(0.3, -0.3, -0.5)));
+    stand.squeeze(1, 1.0);
+    stand.lead(1, Vec3::new(0.3, 0.7, -0.5), 10);
+    stand.input.hands[1] = lost;
+    let frames = (0..200).take_while(|_| !stand.frame().actions.contains(&Action::Release(CUBE, Motion::STILL))).count();
+    assert!((89..=92).contains(&frames), "let go of after {frames} frames");
+}
+
+#[test]
+fn hands_that_nobody_leads_any_more_let_go() {
+    let mut stand = Stand::new();
+    stand.both(1, at(Vec3::new(0.3, -0.3, -0.5)));
+    stand.squeeze(1, 1.0);
+    stand.lead(1, Vec3::new(0.3, 0.7, -0.5), 10);
+    let last = stand.hands.last.unwrap();
+    assert!(stand.hands.let_go_when_idle(ClientTime(last.0 + 900_000)).is_empty());
+    assert_eq!(stand.hands.let_go_when_idle(ClientTime(last.0 + 1_100_000)), [Action::Release(CUBE, Motion::STILL)]);
+    assert!(stand.hands.let_go_of_all().is_empty() && stand.hands.held.is_empty());
+    // The button is still down: nothing is taken anew before it is pressed again.
+    assert!(stand.frame().actions.is_empty());
+}
+
+#[test]
+fn an_item_in_hand_is_put_away_with_its_library() {
+    let mut stand = Stand::new();
+    for menu in [true, false] {
+        stand.input.hands[1].menu = menu;
+        stand.frame();
+    }
+    assert_eq!(stand.hands.hands[1].palette.item(), Some(0));
+    stand.world.library.truncate(1);
+    stand.frame();
+    assert_eq!(stand.hands.hands[1].palette.item(), Some(0), "the same item is the same");
+    stand.world.library[0].name = "another".to_owned();
+    stand.frame();
+    assert_eq!(stand.hands.hands[1].palette.item(), None);
+    // The hand is free.
+    stand.both(1, at(Vec3::new(0.3, -0.3, -0.5)));
+    stand.input.hands[1].select = 1.0;
+    assert_eq!(stand.frame().actions, [Action::Grab(CUBE)]);
 }

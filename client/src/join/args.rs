@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
@@ -123,6 +123,7 @@ pub enum TierChoice {
 }
 
 /// What holds, checked.
+#[derive(Clone)]
 pub(super) struct Settings {
     pub(super) network: receive::Config,
     pub(super) mode: Mode,
@@ -136,6 +137,8 @@ pub(super) struct Settings {
     size: (u32, u32),
     frames: Option<u64>,
     duration: Option<Duration>,
+    /// When presenting began.
+    begin: Option<Instant>,
     pace: Pace,
     overlay: bool,
     pub(super) parallax: Parallax,
@@ -181,6 +184,7 @@ impl JoinArgs {
             size: self.size,
             frames: self.frames,
             duration: self.duration,
+            begin: None,
             pace: self.fps.map_or(Pace::Video, Pace::Fixed),
             overlay: self.overlay,
             parallax: self.parallax,
@@ -220,15 +224,21 @@ impl Settings {
         stage
     }
 
-    pub(super) fn headless(&self) -> HeadlessOptions {
-        HeadlessOptions {
-            width: self.size.0,
-            height: self.size.1,
-            pace: self.pace,
-            frames: self.frames,
-            duration: self.duration,
-            stop: Arc::clone(&self.stop),
-        }
+    /// Presenting begins.
+    pub(super) fn begin(&mut self, now: Instant) {
+        self.begin = Some(now);
+    }
+
+    /// How many frames are left of the limit, and how long, when so many have been presented: where one presenter takes another one's place
+    /// the limits go on.
+    fn left(&self, presented: u64) -> (Option<u64>, Option<Duration>) {
+        let elapsed = self.begin.map_or(Duration::ZERO, |begin| begin.elapsed());
+        (self.frames.map(|frames| frames.saturating_sub(presented)), self.duration.map(|duration| duration.saturating_sub(elapsed)))
+    }
+
+    pub(super) fn headless(&self, presented: u64) -> HeadlessOptions {
+        let (frames, duration) = self.left(presented);
+        HeadlessOptions { width: self.size.0, height: self.size.1, pace: self.pace, frames, duration, stop: Arc::clone(&self.stop) }
     }
 
     /// Creates what is to be written, so that a wrong path is known before anything is joined.
@@ -248,8 +258,9 @@ impl Settings {
         self.record_eyes.as_deref().map(EyeRecorder::start).transpose().map_err(Failure::Input)
     }
 
-    pub(super) fn headset(&self) -> XrOptions {
-        XrOptions { frames: self.frames, duration: self.duration, stop: Arc::clone(&self.stop) }
+    pub(super) fn headset(&self, presented: u64) -> XrOptions {
+        let (frames, duration) = self.left(presented);
+        XrOptions { frames, duration, stop: Arc::clone(&self.stop) }
     }
 
     /// What is to be done, and where to write what the user does, checked before anything is joined.
@@ -260,12 +271,13 @@ impl Settings {
         Ok((deeds, recorder))
     }
 
-    pub(super) fn window(&self) -> WindowOptions {
+    pub(super) fn window(&self, presented: u64) -> WindowOptions {
+        let (frames, duration) = self.left(presented);
         WindowOptions {
             title: format!("MR360 live: {}", self.network.join.room),
             size: self.size,
-            frames: self.frames,
-            duration: self.duration,
+            frames,
+            duration,
             stop: Arc::clone(&self.stop),
         }
     }
@@ -292,6 +304,8 @@ fn parse_fps(text: &str) -> Result<f64, String> {
 
 #[cfg(test)]
 mod tests {
+    use clap::Parser;
+
     use super::*;
 
     #[test]
@@ -302,5 +316,24 @@ mod tests {
         for wrong in ["5", "-1", "", "Auto"] {
             assert!(parse_tier_choice(wrong).unwrap_err().contains("0 to 4"), "{wrong}");
         }
+    }
+
+    #[derive(clap::Parser)]
+    struct Line {
+        #[command(flatten)]
+        join: JoinArgs,
+    }
+
+    #[test]
+    fn limits_go_on_where_one_presenter_takes_the_place_of_another() {
+        let url = format!("https://127.0.0.1:1/#room=live,sha256={}", "ab".repeat(32));
+        let line = ["join", &url, "--mode", "window", "--frames", "100", "--duration", "60"];
+        let mut settings = Line::try_parse_from(line).unwrap().join.settle().unwrap();
+        assert_eq!((settings.window(0).frames, settings.window(0).duration), (Some(100), Some(Duration::from_secs(60))));
+        settings.begin(Instant::now().checked_sub(Duration::from_secs(25)).unwrap());
+        let (frames, duration) = (settings.headless(30).frames, settings.headless(30).duration.unwrap());
+        assert_eq!(frames, Some(70));
+        assert!(duration <= Duration::from_secs(35), "{duration:?}");
+        assert_eq!(settings.window(101).frames, Some(0));
     }
 }

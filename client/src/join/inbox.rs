@@ -89,6 +89,7 @@ impl Inbox {
             Event::Link(LinkEvent::Failed { fault, retry_in }) => tracing::warn!(%fault, ?retry_in, "not connected; trying again"),
             Event::Joined => {
                 tracing::info!("joined the room");
+                self.scene.new_broadcast();
                 self.arrivals.send(Arrival::NewBroadcast);
             }
             Event::AwaitingSource => tracing::info!("the room is open; its source has not come yet"),

@@ -32,8 +32,10 @@ pub struct LiveStage {
     renderer: Option<(wgpu::TextureFormat, Renderer)>,
     /// On the GPU; its objects may have moved since.
     shown: Option<Shown>,
-    /// Of this viewer alone, and by their ids.
+    /// Of this viewer alone, and by their ids: the user's own, then the script's.
     local: Vec<LocalObject>,
+    own: Vec<LocalObject>,
+    scripted: Vec<LocalObject>,
     local_ids: Vec<ObjectId>,
     /// The local objects are others than those on the GPU.
     local_changed: bool,
@@ -71,6 +73,8 @@ impl LiveStage {
             renderer: None,
             shown: None,
             local: Vec::new(),
+            own: Vec::new(),
+            scripted: Vec::new(),
             local_ids: Vec::new(),
             local_changed: false,
             stirred: false,
@@ -270,13 +274,25 @@ impl Stage for LiveStage {
     }
 
     fn show_local(&mut self, objects: &[LocalObject]) {
-        let objects = &objects[..objects.len().min(MAX_LOCAL as usize)];
+        self.own = objects.to_vec();
+        self.show_own_and_scripted();
+    }
+
+    fn show_script(&mut self, objects: &[LocalObject]) {
+        self.scripted = objects.to_vec();
+        self.show_own_and_scripted();
+    }
+}
+
+impl LiveStage {
+    fn show_own_and_scripted(&mut self) {
+        let objects: Vec<_> = self.own.iter().chain(&self.scripted).take(MAX_LOCAL as usize).cloned().collect();
         let alike = |a: &LocalObject, b: &LocalObject| (a.geometry, a.material, a.casts) == (b.geometry, b.material, b.casts);
         let same = objects.len() == self.local.len() && objects.iter().zip(&self.local).all(|(a, b)| alike(a, b));
         self.local_changed |= !same;
         self.stirred |= self.local != objects;
-        self.local = objects.to_vec();
-        self.local_ids = (0..).zip(objects).map(|(index, local)| local_id(index, local.casts)).collect();
+        self.local_ids = (0..).zip(&objects).map(|(index, local)| local_id(index, local.casts)).collect();
+        self.local = objects;
     }
 }
 
@@ -332,7 +348,7 @@ mod tests {
 
     fn snapshot(geometry: Geometry) -> SceneMessage {
         let object = Object { id: ObjectId(1), geometry, transform: Transform::default(), material: None, animation: Default::default() };
-        SceneMessage::Snapshot(Scene { objects: vec![object], ..Scene::default() })
+        SceneMessage::Snapshot { at_us: 0, scene: Scene { objects: vec![object], ..Scene::default() } }
     }
 
     fn paired(lit: bool) -> Paired {
@@ -396,18 +412,29 @@ mod tests {
         assert!(!stage.prepare().unwrap(), "held still, it looks the same");
 
         let pose = crate::hands::Pose { position: Vec3::ZERO, ..crate::hands::Pose::IDENTITY };
-        let local = [looks::controller(0, &pose), looks::ray(&pose, 2.0)];
+        let local = [looks::controller(0, &pose, 1.0), looks::ray(&pose, 2.0, 1.0)];
         stage.show_local(&local);
         assert!(stage.prepare().unwrap());
         draw(&mut stage, true);
         assert!(!stage.prepare().unwrap() && stage.warned.is_empty());
         assert_eq!(picked(&stage, 0.0), None);
         // Moved, they stay in the layout; one less, and all is laid out anew. Neither is the shared scene's business.
-        stage.show_local(&[looks::controller(0, &crate::hands::Pose { position: Vec3::Y, ..pose }), looks::ray(&pose, 3.0)]);
+        stage.show_local(&[looks::controller(0, &crate::hands::Pose { position: Vec3::Y, ..pose }, 1.0), looks::ray(&pose, 3.0, 1.0)]);
         assert!(!stage.local_changed && stage.prepare().unwrap());
         draw(&mut stage, true);
         stage.show_local(&local[..1]);
         assert!(stage.local_changed);
+        draw(&mut stage, true);
+        // A script's hands and the user's do not take each other's place.
+        stage.show_script(&local[1..]);
+        draw(&mut stage, true);
+        for _ in 0..3 {
+            stage.show_local(&local[..1]);
+            stage.show_script(&local[1..]);
+            assert!(!stage.local_changed && !stage.stirred && stage.local == local);
+        }
+        stage.show_script(&[]);
+        assert_eq!(stage.local, local[..1]);
         draw(&mut stage, true);
         assert_eq!((shared.version(), shared.shown().scene.objects.len()), (1, 1));
         assert_eq!(picked(&stage, 5.0), Some(ObjectId(1)), "laid out anew, it is where it is led");

@@ -14,8 +14,9 @@ pub use live_stage::LiveStage;
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
 
-use mr360_protocol::intent::Action;
+use mr360_protocol::intent::{Action, PUT_BURST, PUT_INTERVAL_US, Rate};
 use mr360_protocol::stop::asked_to_stop;
 
 use crate::Failure;
@@ -79,6 +80,10 @@ fn present(settings: &Settings, stats: Stats, outputs: Outputs, (deeds, recorder
     if let Some(deeds) = deeds {
         frames.play(Player::new(deeds, Box::new(act.clone())));
     }
+    // Limits count from here on, through whatever has to be presented in.
+    let mut settings = settings.clone();
+    settings.begin(Instant::now());
+    let settings = &settings;
     let shown = match settings.mode {
         Mode::Xr => in_headset(&mut frames, settings, outputs.eyes, &scene, &mut act),
         Mode::Window => in_window(&mut frames, settings, &scene, &mut act),
@@ -109,7 +114,7 @@ fn in_headset(
         let stage = LiveStage::new(gpu, scene.clone(), settings.governor(Some(HEADSET_MHZ)))?;
         Ok(settings.stage(stage.with_parallax(settings.parallax)))
     };
-    match xr::run(frames, &settings.headset(), xr::Surroundings { open: &mut open, act: &mut *act, eyes }) {
+    match xr::run(frames, &settings.headset(frames.frames()), xr::Surroundings { open: &mut open, act: &mut *act, eyes }) {
         Err(error @ XrError::NoHeadset { .. }) => {
             tracing::warn!("{error}; going on in a window");
             in_window(frames, settings, scene, act)
@@ -118,10 +123,22 @@ fn in_headset(
     }
 }
 
-/// Where wishes go: to the server, and into the script that is recorded.
+/// Where wishes go: to the server, and into the script that is recorded. What the server would refuse as too much at once goes nowhere; half
+/// of that is left for what comes to it in a heap.
 fn wishes(user: User, recorder: Option<script::Recorder>, clock: ClientClock) -> impl FnMut(Action) + Clone + Send + 'static {
     let recorder = recorder.map(|recorder| Arc::new(Mutex::new(recorder)));
+    let rate = Arc::new(Mutex::new(Rate::default()));
     move |action: Action| {
+        let counts = matches!(action, Action::Put { .. } | Action::Remove(_));
+        if counts && !rate.lock().unwrap_or_else(PoisonError::into_inner).take(clock.now().0, PUT_BURST / 2) {
+            tracing::warn!(
+                ?action,
+                "not done: only {} objects are put or removed at once and one more every {} ms; wait a moment",
+                PUT_BURST / 2,
+                PUT_INTERVAL_US / 1_000
+            );
+            return;
+        }
         if let Some(recorder) = &recorder {
             recorder.lock().unwrap_or_else(PoisonError::into_inner).write(&Deed::Action(clock.now(), action.clone()));
         }
@@ -140,7 +157,7 @@ fn in_window(frames: &mut FrameLoop, settings: &Settings, scene: &SharedScene, a
         let stage = settings.stage(LiveStage::new(gpu, scene.clone(), governor)?.with_parallax(settings.parallax));
         Ok(WindowGraphics { surface, adapter, device, queue, stage })
     };
-    match window::run(frames, &settings.window(), &mut open, act) {
+    match window::run(frames, &settings.window(frames.frames()), &mut open, act) {
         Err(error @ WindowError::NoDisplay { .. }) => {
             tracing::warn!("{error}; going on headless");
             // Nothing is written from a window, nor from what takes its place.
@@ -158,7 +175,7 @@ fn to_file(frames: &mut FrameLoop, settings: &Settings, files: Files, scene: &Sh
         Ok(Graphics { device, queue, stage })
     };
     let camera: Camera = settings.camera;
-    let report = headless::run(frames, &settings.headless(), files, &mut open, &mut |_| camera)?;
+    let report = headless::run(frames, &settings.headless(frames.frames()), files, &mut open, &mut |_| camera)?;
     match report.recording {
         Some(Ok(recording)) => tracing::info!(frames = recording.frames, dropped = recording.dropped, "recording written"),
         Some(Err(error)) => return Err(error.into()),

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use mr360_protocol::asset::AssetId;
 use mr360_protocol::clock::{ClientTime, ServerTime};
 use mr360_protocol::intent::Action;
-use mr360_protocol::scene::{ApplyError, Change, ObjectId, Scene, SceneMessage, Transform};
+use mr360_protocol::scene::{ApplyError, Change, Object, ObjectId, Scene, SceneMessage, Transform};
 
 use crate::scene::model::{LoadedModel, ModelError};
 use crate::sync::{ClientClock, Motions};
@@ -25,6 +25,8 @@ pub struct SharedScene {
 struct SceneState {
     shown: Shown,
     motions: Motions,
+    /// The scene is of this broadcast, not of an earlier one of the room.
+    current: bool,
 }
 
 /// What there is to show.
@@ -54,6 +56,13 @@ impl SharedScene {
         self.clock
     }
 
+    /// What comes from now on is of another broadcast, whose clock is another: nothing is known of how its objects move. The old scene is
+    /// shown until it comes.
+    pub fn new_broadcast(&self) {
+        let mut state = self.lock();
+        (state.motions, state.current) = (Motions::default(), false);
+    }
+
     /// Takes in a message of the scene track, which has just come.
     ///
     /// # Errors
@@ -61,13 +70,14 @@ impl SharedScene {
     pub fn apply(&self, message: &SceneMessage) -> Result<(), ApplyError> {
         let now = self.clock.now();
         let mut state = self.lock();
-        let SceneState { shown, motions } = &mut *state;
+        let SceneState { shown, motions, current } = &mut *state;
         let before = Arc::clone(&shown.scene);
         Arc::make_mut(&mut shown.scene).apply(message)?;
         match message {
-            SceneMessage::Snapshot(scene) => {
-                motions.snapshot(scene);
-                shown.version += 1;
+            SceneMessage::Snapshot { at_us, scene } => {
+                let known = std::mem::replace(current, true);
+                motions.snapshot(ServerTime(*at_us), now, scene, if known { &before } else { scene });
+                shown.version += u64::from(!known || differs_but_in_places(&before, scene));
             }
             SceneMessage::Delta { at_us, changes, .. } => {
                 motions.delta(ServerTime(*at_us), now, changes, &before);
@@ -112,7 +122,7 @@ impl SharedScene {
     /// Objects that are shown elsewhere than the scene has them. Once a frame.
     pub(super) fn advance(&self, now: ClientTime) -> Vec<(ObjectId, Transform)> {
         let mut state = self.lock();
-        let SceneState { shown, motions } = &mut *state;
+        let SceneState { shown, motions, .. } = &mut *state;
         motions.advance(now, &shown.scene)
     }
 
@@ -122,10 +132,18 @@ impl SharedScene {
     }
 }
 
+/// More is different than where objects are.
+fn differs_but_in_places(before: &Scene, after: &Scene) -> bool {
+    let alike = |a: &Object, b: &Object| (a.id, &a.geometry, &a.material, &a.animation) == (b.id, &b.geometry, &b.material, &b.animation);
+    let same_objects = before.objects.len() == after.objects.len() && before.objects.iter().zip(&after.objects).all(|(a, b)| alike(a, b));
+    let rest = |scene: &Scene| (scene.ground_y, scene.ground);
+    !same_objects || rest(before) != rest(after) || before.place != after.place || before.library != after.library
+}
+
 #[cfg(test)]
 mod tests {
     use glam::Vec3;
-    use mr360_protocol::scene::{Geometry, Object};
+    use mr360_protocol::scene::Geometry;
 
     use super::*;
     use crate::scene::mesh::{Bounds, Mesh};
@@ -139,7 +157,7 @@ mod tests {
 
     fn snapshot(geometry: Geometry) -> SceneMessage {
         let object = Object { id: ObjectId(1), geometry, transform: Transform::default(), material: None, animation: Default::default() };
-        SceneMessage::Snapshot(Scene { objects: vec![object], ..Scene::default() })
+        SceneMessage::Snapshot { at_us: 0, scene: Scene { objects: vec![object], ..Scene::default() } }
     }
 
     #[test]
@@ -149,7 +167,7 @@ mod tests {
         shared.apply(&snapshot(Geometry::Model(id))).unwrap();
         let before = shared.shown();
         shared.add_model(id, model(3));
-        shared.apply(&SceneMessage::Snapshot(Scene::default())).unwrap();
+        shared.apply(&SceneMessage::Snapshot { at_us: 0, scene: Scene::default() }).unwrap();
         assert_eq!((before.scene.objects.len(), before.models.len(), before.version), (1, 0, 1));
         let after = shared.shown();
         assert_eq!((after.scene.objects.len(), after.models.len(), after.version), (0, 1, 3));
@@ -188,5 +206,31 @@ mod tests {
         assert_eq!((shared.version(), shared.shown().scene.objects.len()), (version, 1));
         shared.apply(&delta(2, vec![Change::Remove(ObjectId(1))])).unwrap();
         assert_eq!((shared.version(), shared.moving()), (version + 1, false));
+    }
+
+    #[test]
+    fn a_snapshot_amid_a_flight_lays_nothing_out_anew_and_a_new_broadcast_begins_from_nothing() {
+        let shared = SharedScene::new(ClientClock::start());
+        let at = |x: f32, at_us| {
+            let SceneMessage::Snapshot { mut scene, .. } = snapshot(Geometry::Shape(mr360_protocol::scene::Shape::Cube)) else { panic!() };
+            scene.objects[0].transform.position.x = x;
+            SceneMessage::Snapshot { at_us, scene }
+        };
+        shared.apply(&at(0.0, 90_000_000)).unwrap();
+        assert!(!shared.moving(), "the first says where all stands");
+        let version = shared.version();
+        shared.apply(&at(1.0, 90_016_667)).unwrap();
+        assert_eq!((shared.version(), shared.moving()), (version, true));
+        let grab = Action::Grab(ObjectId(1));
+        shared.lead(&grab, Some(Transform::default()), shared.clock().now());
+        // The server has been started again, and its clock with it.
+        shared.new_broadcast();
+        assert!(!shared.moving() && shared.advance(shared.clock().now()).is_empty(), "nothing of before is led or on its way");
+        shared.apply(&at(3.0, 1_000)).unwrap();
+        assert_eq!((shared.version(), shared.moving()), (version + 1, false));
+        // What moves now does so by the new clock: it is on its way, and not there at once.
+        shared.apply(&at(4.0, 17_667)).unwrap();
+        let moved = shared.advance(shared.clock().now());
+        assert!(matches!(moved[..], [(ObjectId(1), to)] if to.position.x < 4.0), "{moved:?}");
     }
 }

@@ -86,7 +86,7 @@ fn scene() -> SharedScene {
     let material = Some(Material { base_color: [1.0; 3], ..Material::default() });
     let ball = Object { id: ObjectId(1), geometry: Geometry::Shape(Shape::Sphere), transform, material, animation: Default::default() };
     let shared = SharedScene::new(ClientClock::start());
-    shared.apply(&SceneMessage::Snapshot(Scene { ground_y: -1.6, objects: vec![ball], ..Scene::default() })).unwrap();
+    shared.apply(&SceneMessage::Snapshot { at_us: 0, scene: Scene { ground_y: -1.6, objects: vec![ball], ..Scene::default() } }).unwrap();
     shared
 }
 

@@ -78,7 +78,7 @@ impl AssetFetcher {
     /// Starts to fetch what the message names and was not asked for before.
     pub(super) fn want(&mut self, message: &SceneMessage) {
         let ids = match message {
-            SceneMessage::Snapshot(scene) => scene.assets(),
+            SceneMessage::Snapshot { scene, .. } => scene.assets(),
             SceneMessage::Delta { changes, .. } => changes
                 .iter()
                 .filter_map(|change| match change {
@@ -205,7 +205,7 @@ mod tests {
             material: None,
             animation: Default::default(),
         };
-        let message = SceneMessage::Snapshot(Scene { objects: vec![object], ..Scene::default() });
+        let message = SceneMessage::Snapshot { at_us: 0, scene: Scene { objects: vec![object], ..Scene::default() } };
         message.to_wire().unwrap();
         message
     }

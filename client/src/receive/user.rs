@@ -1,12 +1,12 @@
 //! This user's own broadcast: wishes for the scene.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::SystemTime;
+use std::time::{Duration, SystemTime};
 
 use mr360_protocol::codec::Message;
-use mr360_protocol::intent::{Action, Intent};
-use mr360_protocol::scene::MAX_OBJECTS;
+use mr360_protocol::intent::{Action, HOLD_AGAIN_US, Intent};
+use mr360_protocol::scene::{MAX_OBJECTS, ObjectId};
 use mr360_protocol::track;
 use tokio::sync::{mpsc, watch};
 
@@ -23,6 +23,8 @@ struct Queue {
     /// Whether somebody sends; what is wished while nobody does is lost.
     open: bool,
     waiting: VecDeque<Intent>,
+    /// What the user holds.
+    held: BTreeSet<ObjectId>,
 }
 
 impl Queue {
@@ -38,6 +40,10 @@ impl Queue {
                 self.waiting.push_back(Intent { sequence: self.sequence, action });
             }
             return;
+        };
+        match action {
+            Action::Release(..) | Action::Remove(_) => self.held.remove(&object),
+            _ => self.held.insert(object),
         };
         if matches!(action, Action::Remove(_)) {
             self.waiting.retain(|waiting| waiting.action.object() != Some(object));
@@ -61,6 +67,15 @@ impl Queue {
         self.waiting.push_back(Intent { sequence: self.sequence, action });
     }
 
+    /// Says again what is held, where nothing else is to be said of it: a server lets go of what it does not hear of.
+    fn say_again(&mut self) {
+        for object in self.held.clone() {
+            if !self.waiting.iter().any(|waiting| waiting.action.object() == Some(object)) {
+                self.push(Action::Grab(object));
+            }
+        }
+    }
+
     fn forget(&mut self, waiting: Option<usize>) {
         if let Some(index) = waiting {
             self.waiting.remove(index);
@@ -80,13 +95,18 @@ pub struct User {
 pub(super) struct Wishes {
     queue: Arc<Mutex<Queue>>,
     bell: mpsc::Receiver<()>,
+    /// When to say again what is held.
+    again: tokio::time::Instant,
 }
+
+/// See [`HOLD_AGAIN_US`].
+const HOLD_AGAIN: Duration = Duration::from_micros(HOLD_AGAIN_US);
 
 /// A user whose first wish has the number after `start`, and the wishes.
 pub(super) fn user(start: u64) -> (User, Wishes) {
-    let queue = Arc::new(Mutex::new(Queue { sequence: start, open: false, waiting: VecDeque::new() }));
+    let queue = Arc::new(Mutex::new(Queue { sequence: start, open: false, waiting: VecDeque::new(), held: BTreeSet::new() }));
     let (ring, bell) = mpsc::channel(1);
-    (User { queue: Arc::clone(&queue), bell: ring }, Wishes { queue, bell })
+    (User { queue: Arc::clone(&queue), bell: ring }, Wishes { queue, bell, again: tokio::time::Instant::now() + HOLD_AGAIN })
 }
 
 /// Where a run that begins now counts from, the time of day in microseconds: above all that an earlier run under the same name can have
@@ -116,6 +136,7 @@ impl Wishes {
     fn open(&self) {
         let mut queue = lock(&self.queue);
         queue.waiting.clear();
+        queue.held.clear();
         queue.open = true;
     }
 
@@ -123,6 +144,7 @@ impl Wishes {
     fn close(&self) {
         let mut queue = lock(&self.queue);
         queue.waiting.clear();
+        queue.held.clear();
         queue.open = false;
     }
 
@@ -133,7 +155,13 @@ impl Wishes {
             if next.is_some() {
                 return next;
             }
-            self.bell.recv().await?;
+            match tokio::time::timeout_at(self.again, self.bell.recv()).await {
+                Ok(rung) => rung?,
+                Err(_) => {
+                    lock(&self.queue).say_again();
+                    self.again = tokio::time::Instant::now() + HOLD_AGAIN;
+                }
+            }
         }
     }
 }
@@ -299,6 +327,29 @@ mod tests {
     }
 
     #[test]
+    fn what_is_held_is_said_again_until_it_is_let_go_of() {
+        let (user, wishes) = user(0);
+        wishes.open();
+        let [held, moved, dropped] = [ObjectId(1), ObjectId(2), ObjectId(3)];
+        for action in [Action::Grab(held), Action::Move(moved, at(1.0)), Action::Grab(dropped), release(dropped)] {
+            user.wish(action);
+        }
+        let again = |queue: &Mutex<Queue>| {
+            lock(queue).waiting.clear();
+            lock(queue).say_again();
+            // Twice is once.
+            lock(queue).say_again();
+            lock(queue).waiting.iter().map(|intent| intent.action.clone()).collect::<Vec<_>>()
+        };
+        assert_eq!(again(&wishes.queue), [Action::Grab(held), Action::Grab(moved)]);
+        user.wish(Action::Remove(held));
+        assert_eq!(again(&wishes.queue), [Action::Grab(moved)]);
+        // Another broadcast knows of no hold.
+        wishes.open();
+        assert!(again(&wishes.queue).is_empty());
+    }
+
+    #[test]
     fn what_is_put_and_removed_waits_bounded() {
         let (user, wishes) = user(0);
         wishes.open();
@@ -317,7 +368,7 @@ mod tests {
 
     #[test]
     fn a_later_run_counts_on_from_an_earlier_one() {
-        let began = SystemTime::UNIX_EPOCH + std::time::Duration::from_secs(1_700_000_000);
+        let began = SystemTime::UNIX_EPOCH + Duration::from_secs(1_700_000_000);
         let sequences = |began: SystemTime, wishes: u32| {
             let (user, waiting_wishes) = user(count_from(began));
             waiting_wishes.open();
@@ -328,7 +379,7 @@ mod tests {
         assert_eq!((earlier[0], earlier.len()), (1_700_000_000_000_001, 1000));
         assert!(earlier.is_sorted_by(|a, b| a < b));
         // It wished a thousand times in a second.
-        let later = sequences(began + std::time::Duration::from_secs(1), 3);
+        let later = sequences(began + Duration::from_secs(1), 3);
         assert!(later[0] > earlier[999], "{later:?}");
     }
 }

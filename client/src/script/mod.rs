@@ -1,5 +1,5 @@
 //! What a user did, as a file: one JSON object a line, each with its time. Recorded in a session, played in another, it ends in the same
-//! state.
+//! state. A session records wishes, whatever they came from; lines of hands are written by programs, as tests are.
 //!
 //! ```json
 //! {"at_us":0,"hands":{"hands":[{"grip":{"position":[0,0,0],"orientation":[0,0,0,1]},"select":1},{}],"head":{…}}}
@@ -13,7 +13,7 @@ pub use player::Player;
 pub use recorder::Recorder;
 
 use std::fs;
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use mr360_protocol::clock::ClientTime;
@@ -27,6 +27,10 @@ use crate::hands::{HandInput, HandsInput, Pose};
 const MAX_BYTES: u64 = 256 * 1024 * 1024;
 /// Longest line: a hundred times what both hands take.
 const MAX_LINE_BYTES: usize = 64 * 1024;
+/// Most deeds of a script: three hours of hands at 90 Hz.
+const MAX_DEEDS: usize = 1_000_000;
+/// Latest deed, microseconds: a day.
+const MAX_AT_US: u64 = 24 * 3_600 * 1_000_000;
 
 /// Why a script cannot be read or written.
 #[derive(Debug, thiserror::Error)]
@@ -101,9 +105,12 @@ impl Deed {
 
     fn read(line: &str) -> Result<Self, String> {
         let Line { at_us, hands, action } = serde_json::from_str(line).map_err(|error| error.to_string())?;
+        if at_us > MAX_AT_US {
+            return Err(format!("at_us is out of range: {at_us}, at most {MAX_AT_US}"));
+        }
         let at = ClientTime(at_us);
         match (hands, action) {
-            (Some(BothHands { hands, head }), None) => Ok(Self::Hands(HandsInput { hands, head, now: at })),
+            (Some(BothHands { hands, head }), None) => Ok(Self::Hands(HandsInput { hands, head, now: at, scale: 1.0 })),
             (None, Some(action)) => {
                 let intent = Intent { sequence: 0, action };
                 intent.validate().map_err(|error| error.to_string())?;
@@ -115,7 +122,7 @@ impl Deed {
 
     fn line(&self) -> Line {
         let (at_us, hands, action) = match self.clone() {
-            Self::Hands(HandsInput { hands, head, now }) => (now.0, Some(BothHands { hands, head }), None),
+            Self::Hands(HandsInput { hands, head, now, .. }) => (now.0, Some(BothHands { hands, head }), None),
             Self::Action(at, action) => (at.0, None, Some(action)),
         };
         Line { at_us, hands, action }
@@ -129,21 +136,29 @@ impl Deed {
 pub fn load(path: &Path) -> Result<Vec<Deed>, ScriptError> {
     let read = |fault: String| ScriptError::Read { path: path.to_owned(), fault };
     let file = fs::File::open(path).map_err(|error| read(error.to_string()))?;
-    let bytes = file.metadata().map_err(|error| read(error.to_string()))?.len();
-    if bytes > MAX_BYTES {
-        return Err(read(format!("{bytes} bytes, at most {MAX_BYTES}")));
-    }
-    let mut deeds: Vec<Deed> = Vec::new();
-    for (line, text) in (1..).zip(BufReader::new(file).lines()) {
+    // What is no file of the disk, as a pipe, tells no length before it is read.
+    let mut rest = BufReader::new(file.take(MAX_BYTES + 1));
+    let (mut deeds, mut bytes) = (Vec::<Deed>::new(), 0);
+    for line in 1.. {
         let wrong = |fault: String| ScriptError::Line { path: path.to_owned(), line, fault };
-        let text = text.map_err(|error| wrong(error.to_string()))?;
-        if text.len() > MAX_LINE_BYTES {
-            return Err(wrong(format!("{} bytes, at most {MAX_LINE_BYTES}", text.len())));
+        let mut text = Vec::new();
+        let length = (&mut rest).take(MAX_LINE_BYTES as u64 + 2).read_until(b'\n', &mut text).map_err(|error| wrong(error.to_string()))?;
+        if length == 0 {
+            break;
         }
+        bytes += length as u64;
+        if bytes > MAX_BYTES || deeds.len() >= MAX_DEEDS {
+            return Err(read(format!("longer than {MAX_BYTES} bytes or {MAX_DEEDS} deeds")));
+        }
+        let text = text.strip_suffix(b"\n").unwrap_or(&text);
+        if text.len() > MAX_LINE_BYTES {
+            return Err(wrong(format!("more than {MAX_LINE_BYTES} bytes")));
+        }
+        let text = std::str::from_utf8(text).map_err(|error| wrong(error.to_string()))?;
         if text.trim().is_empty() {
             continue;
         }
-        let deed = Deed::read(&text).map_err(wrong)?;
+        let deed = Deed::read(text).map_err(wrong)?;
         if deeds.last().is_some_and(|last| last.at() > deed.at()) {
             return Err(wrong("its time lies before that of the line above".to_owned()));
         }
@@ -166,7 +181,7 @@ mod tests {
         let moved = Transform { position: Vec3::new(1.0 / 7.0, -0.0, 3e-38), ..Transform::default() };
         let motion = Motion { linear: Vec3::new(1.0, 2.0, 3.1), angular: Vec3::ZERO };
         vec![
-            Deed::Hands(HandsInput { hands: [HandInput::default(), hand], head: pose, now: ClientTime(5) }),
+            Deed::Hands(HandsInput { hands: [HandInput::default(), hand], head: pose, now: ClientTime(5), scale: 1.0 }),
             Deed::Action(ClientTime(7), Action::Grab(ObjectId(3))),
             Deed::Action(ClientTime(7), Action::Move(ObjectId(3), moved)),
             Deed::Action(ClientTime(9), Action::Release(ObjectId(3), motion)),
@@ -206,12 +221,16 @@ mod tests {
             ("{\"at_us\":5}".to_owned(), "neither hands nor an action"),
             ("{\"at_us\":5,\"action\":{\"Grab\":1},\"colour\":2}".to_owned(), "colour"),
             (r#"{"at_us":5,"action":{"Release":[1,{"linear":[1e9,0,0],"angular":[0,0,0]}]}}"#.to_owned(), "linear is out of range"),
-            ("x".repeat(MAX_LINE_BYTES + 1), "bytes, at most"),
+            ("x".repeat(MAX_LINE_BYTES + 1), "line 1: more than"),
+            (format!("{good}\n{{\"at_us\":{},\"action\":{{\"Grab\":1}}}}", u64::MAX), "line 2: at_us is out of range"),
         ] {
             fs::write(&path, text).unwrap();
             let error = load(&path).unwrap_err().to_string();
             assert!(error.contains(says) && error.contains("script.jsonl"), "{says}: {error}");
         }
+        // Endless, and of no length.
+        #[cfg(unix)]
+        assert!(load(Path::new("/dev/zero")).unwrap_err().to_string().contains("line 1: more than"));
         assert!(matches!(load(&folder.path().join("none")), Err(ScriptError::Read { .. })));
         assert!(matches!(Recorder::create(&folder.path().join("no/folder")), Err(ScriptError::Write { .. })));
     }

@@ -10,7 +10,7 @@ use std::collections::{BTreeMap, HashMap, HashSet, VecDeque};
 use glam::{Quat, Vec3};
 use mr360_protocol::clock::{ClientTime, ClockOffset, ServerTime};
 use mr360_protocol::intent::{Action, Motion};
-use mr360_protocol::scene::{Change, ObjectId, Scene, Transform};
+use mr360_protocol::scene::{Change, Object, ObjectId, Scene, Transform};
 
 /// What was so on the server is shown so much later than it can be here at the earliest, microseconds: three of its steps, which a usual
 /// network's jitter stays below.
@@ -102,11 +102,18 @@ impl Motions {
         }
     }
 
-    /// A snapshot: everything stands where it says, but for what this user leads.
-    pub fn snapshot(&mut self, scene: &Scene) {
-        self.tracks.clear();
-        self.led.retain(|id, _| scene.object(*id).is_some());
-        self.refused.retain(|id| scene.object(*id).is_some());
+    /// Takes in a snapshot that was so at `at` and came at `arrived`: what it differs by from the scene `before` it, as a delta. Groups
+    /// begin with one while everything goes on.
+    pub fn snapshot(&mut self, at: ServerTime, arrived: ClientTime, scene: &Scene, before: &Scene) {
+        let known = |scene: &Scene, id| scene.objects.binary_search_by_key(&id, |object| object.id).ok();
+        let change = |object: &Object| match known(before, object.id).and_then(|index| before.objects.get(index)) {
+            Some(old) if old.transform == object.transform => None,
+            Some(_) => Some(Change::Move(object.id, object.transform)),
+            None => Some(Change::Put(object.clone())),
+        };
+        let gone = before.objects.iter().filter(|object| known(scene, object.id).is_none()).map(|object| Change::Remove(object.id));
+        let changes: Vec<_> = scene.objects.iter().filter_map(change).chain(gone).collect();
+        self.delta(at, arrived, &changes, before);
     }
 
     fn forget(&mut self, id: ObjectId) {
@@ -291,7 +298,7 @@ impl Led {
 
 #[cfg(test)]
 mod tests {
-    use mr360_protocol::scene::{Geometry, Object, Shape};
+    use mr360_protocol::scene::{Geometry, Shape};
 
     use super::*;
 
@@ -461,13 +468,35 @@ mod tests {
     }
 
     #[test]
-    fn snapshots_and_removals_end_motions() {
+    fn a_group_that_begins_amid_a_flight_does_not_show() {
+        let position = |server_us: u64| Vec3::X * (server_us as f32 * 1e-6 * 2.0);
+        let shown = |snapshots: bool| {
+            let mut link = Link::new(0);
+            let mut shown = Vec::new();
+            for step in 60..180u64 {
+                let now = step * STEP_US;
+                if snapshots && step % 10 == 0 {
+                    let next = scene(position(now));
+                    link.motions.snapshot(ServerTime(now), ClientTime(now), &next, &link.scene);
+                    link.scene = next;
+                } else {
+                    link.send(now, 0, at(position(now)));
+                }
+                shown.push(link.frame(ClientTime(now)).position.x);
+            }
+            shown
+        };
+        assert_eq!(shown(true), shown(false));
+    }
+
+    #[test]
+    fn what_a_snapshot_lacks_is_forgotten_and_removals_end_motions() {
         let mut link = Link::new(0);
         link.send(1_000_000, 0, at(Vec3::X));
         link.frame(ClientTime(1_000_000));
         assert!(link.motions.moving());
-        link.motions.snapshot(&link.scene);
-        assert!(!link.motions.moving() && link.motions.advance(ClientTime(1_000_001), &link.scene).is_empty());
+        link.motions.snapshot(ServerTime(1_016_667), ClientTime(1_016_667), &Scene::default(), &link.scene);
+        assert!(!link.motions.moving() && link.motions.advance(ClientTime(1_016_668), &link.scene).is_empty());
         link.motions.lead(&Action::Grab(BALL), Some(at(Vec3::X)), ClientTime(1_000_000));
         link.motions.delta(ServerTime(2_000_000), ClientTime(2_000_000), &[Change::Remove(BALL)], &link.scene);
         assert!(link.motions.led.is_empty());

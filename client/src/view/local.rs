@@ -1,11 +1,9 @@
 //! Objects of this viewer alone, hands and rays: drawn like all others, but nobody else has them, and they cannot be picked.
 
-use mr360_protocol::scene::ObjectId;
+use mr360_protocol::scene::{FIRST_LOCAL_ID as FIRST_LOCAL, ObjectId};
 
-/// From here on ids are of this viewer's own objects. Servers count from 1 and do not come so far.
-const FIRST_LOCAL: u32 = u32::MAX - 2 * MAX_LOCAL;
 /// Most of each kind.
-pub const MAX_LOCAL: u32 = 64;
+pub const MAX_LOCAL: u32 = (u32::MAX - FIRST_LOCAL) / 2;
 
 /// The id of the so manieth local object, below [`MAX_LOCAL`].
 #[must_use]

@@ -50,7 +50,7 @@ impl Frames {
 
 /// A chalk ball, a mirror ball, two cubes of one kind, and a model of several parts.
 fn things() -> Scene {
-    let drawn = looks::controller(1, &crate::hands::Pose { position: Vec3::ZERO, orientation: Quat::IDENTITY });
+    let drawn = looks::controller(1, &crate::hands::Pose { position: Vec3::ZERO, orientation: Quat::IDENTITY }, 1.0);
     let at = |x: f32, z: f32| Vec3::new(x, -1.1, z);
     let large = Transform { position: at(0.0, -2.5), rotation: Quat::IDENTITY, scale: Vec3::splat(5.0) };
     let model =
@@ -118,7 +118,7 @@ fn rays_throw_no_shadow_hide_no_light_and_cannot_be_picked() {
     let (begin, length) = (Vec3::new(-0.7, -0.8, -3.0), 1.4);
     let pose = crate::hands::Pose { position: begin, orientation: Quat::from_rotation_y(-std::f32::consts::FRAC_PI_2) };
     let ray = |casts: bool| {
-        let mut drawn = looks::ray(&pose, length);
+        let mut drawn = looks::ray(&pose, length, 1.0);
         // As thick as two pixels, so that every sample meets it.
         drawn.transform.scale *= Vec3::new(15.0, 1.0, 15.0);
         let local = Object {

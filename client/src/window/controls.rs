@@ -259,19 +259,20 @@ impl Controls {
     pub(super) fn choose(&mut self, item: Option<usize>, world: &impl World) {
         match item {
             None => self.palette.cycle(world.library()),
-            Some(item) => self.palette.choose((item < world.library().len()).then_some(item)),
+            item => self.palette.choose(item, world.library()),
         }
     }
 
     /// Puts the library away; false when it was not in hand.
     pub(super) fn close_palette(&mut self) -> bool {
         let open = self.palette.item().is_some();
-        self.palette.choose(None);
+        self.palette.choose(None, &[]);
         open
     }
 
     /// What this viewer alone sees: the item about to be put.
-    pub(super) fn drawn(&self, world: &impl World) -> Vec<LocalObject> {
+    pub(super) fn drawn(&mut self, world: &impl World) -> Vec<LocalObject> {
+        self.palette.keep_to(world.library());
         self.palette.ghost(&self.ray(), world).into_iter().collect()
     }
 

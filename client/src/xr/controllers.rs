@@ -142,8 +142,8 @@ impl Controllers {
             *hand = HandInput {
                 grip: spaces.locate(&side.grip, at, ground_y)?,
                 aim: spaces.locate(&side.aim, at, ground_y)?,
-                select: unit(select.state(session, side.path)?.current_state),
-                squeeze: unit(squeeze.state(session, side.path)?.current_state),
+                select: known(&select.state(session, side.path)?),
+                squeeze: known(&squeeze.state(session, side.path)?),
                 stick: Vec2::new(signed(stick.x), signed(stick.y)),
                 menu: menu.state(session, side.path)?.current_state,
             };
@@ -205,6 +205,11 @@ impl Actions {
 
 fn path(instance: &xr::Instance, text: &str) -> Result<xr::Path, Fault> {
     instance.string_to_path(text).map_err(|code| Fault::of("naming a control", code))
+}
+
+/// Without focus, or with a controller that is off, states are inactive and read 0: that is no button let go of.
+fn known(state: &xr::ActionState<f32>) -> f32 {
+    if state.is_active { unit(state.current_state) } else { f32::NAN }
 }
 
 fn unit(value: f32) -> f32 {

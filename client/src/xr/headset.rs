@@ -194,7 +194,8 @@ impl<'a> Headset<'a> {
     pub(super) fn read_hands(&mut self) -> Result<HandsInput, Fault> {
         let failed = |code| Fault::of("reading the controllers", code);
         let Some(display) = self.begun.as_ref().map(|begun| begun.display) else {
-            return Ok(HandsInput { hands: self.hands, head: self.viewer.placing.in_world(&self.head), now: self.clock.now() });
+            let placing = &self.viewer.placing;
+            return Ok(HandsInput { hands: self.hands, head: placing.in_world(&self.head), now: self.clock.now(), scale: placing.scale() });
         };
         self.hands = self.controllers.read(&self.session, &self.spaces, display, self.ground_y).map_err(failed)?;
         let placing = self.viewer.placing;
@@ -204,7 +205,7 @@ impl<'a> Headset<'a> {
         self.head = self.spaces.head(display, self.ground_y).map_err(failed)?.unwrap_or(self.head);
         let ahead_us = self.runtime.now().map_or(0, |now| u64::try_from((display.as_nanos() - now.as_nanos()) / 1_000).unwrap_or(0));
         let now = ClientTime(self.clock.now().0.saturating_add(ahead_us));
-        Ok(HandsInput { hands: self.hands, head: placing.in_world(&self.head), now })
+        Ok(HandsInput { hands: self.hands, head: placing.in_world(&self.head), now, scale: placing.scale() })
     }
 
     /// Takes wishes of the viewer for where and how large they are.

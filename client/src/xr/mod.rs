@@ -176,9 +176,31 @@ fn session<S: Stage>(
     let mut headset = Headset::new(runtime, &gpu, &handles, frames.clock(), viewer, eyes.as_mut())?;
     let mut stage = open(gpu).map_err(Fault::Open)?;
     let mut hands = Hands::default();
+    let outcome = present(frames, limits, &mut headset, &mut stage, &mut hands, act);
+    // Whatever ended it, nobody is left with these hands.
+    wish(hands.let_go_of_all(), frames.clock().now(), &mut stage, act);
+    outcome
+}
+
+/// Wishes that are shown at once and decided by the server.
+fn wish(actions: Vec<Action>, now: ClientTime, stage: &mut impl Stage, act: &mut dyn FnMut(Action)) {
+    actions.iter().for_each(|action| stage.predict(action, now));
+    actions.into_iter().for_each(act);
+}
+
+/// Frames, until the run or the session is over.
+fn present<S: Stage>(
+    frames: &mut FrameLoop,
+    limits: &Limits<'_>,
+    headset: &mut Headset<'_>,
+    stage: &mut S,
+    hands: &mut Hands,
+    act: &mut dyn FnMut(Action),
+) -> Result<(), Fault> {
     while !limits.are_reached(frames) {
+        wish(hands.let_go_when_idle(frames.clock().now()), frames.clock().now(), stage, act);
         let ended = match headset.listen(stage.ground_y()).map_err(Fault::within_session)? {
-            Standing::Running => frame(frames, &mut headset, &mut stage, &mut hands, act).map_err(Fault::within_session)?,
+            Standing::Running => frame(frames, headset, stage, hands, act).map_err(Fault::within_session)?,
             Standing::Stopped => pass_for(frames, limits, LISTEN),
             Standing::Ended => {
                 limits.options.stop.store(true, Ordering::Relaxed);
@@ -206,10 +228,7 @@ fn frame<S: Stage>(
         headset.pulse(out.haptics)?;
         headset.place(&out.placing);
         stage.show_local(&out.drawn);
-        // Shown at once, decided by the server.
-        let now = frames.clock().now();
-        out.actions.iter().for_each(|action| stage.predict(action, now));
-        out.actions.into_iter().for_each(act);
+        wish(out.actions, frames.clock().now(), stage, act);
         // Where the viewer is comes from the headset; this camera is nobody's.
         frames.turn(stage, headset, &Camera::looking(0.0, 0.0, 1.0), Redraw::Always).map_err(Fault::Frame)
     } else {

@@ -8,6 +8,10 @@ fn object(id: u32) -> Object {
     Object { id: ObjectId(id), geometry, transform: Transform::default(), material: None, animation: Playback::default() }
 }
 
+fn snapshot(scene: Scene) -> SceneMessage {
+    SceneMessage::Snapshot { at_us: 7, scene }
+}
+
 #[test]
 fn deltas_apply_in_order_and_a_gap_changes_nothing() {
     let mut scene = Scene { objects: vec![object(1), object(5)], ..Scene::default() };
@@ -28,7 +32,7 @@ fn deltas_apply_in_order_and_a_gap_changes_nothing() {
 #[test]
 fn nothing_follows_the_last_revision() {
     let mut scene = Scene::default();
-    scene.apply(&SceneMessage::Snapshot(Scene { revision: u64::MAX, ..Scene::default() })).unwrap();
+    scene.apply(&snapshot(Scene { revision: u64::MAX, ..Scene::default() })).unwrap();
     let delta = SceneMessage::Delta { revision: 0, at_us: 0, changes: vec![] };
     assert_eq!(scene.apply(&delta), Err(ApplyError::Gap { have: u64::MAX, got: 0 }));
 }
@@ -39,8 +43,9 @@ fn every_range_is_guarded() {
         let mut o = object(1);
         o.material = Some(Material::default());
         break_it(&mut o);
-        SceneMessage::Snapshot(Scene { objects: vec![o], ..Scene::default() }).to_wire().unwrap_err().to_string()
+        snapshot(Scene { objects: vec![o], ..Scene::default() }).to_wire().unwrap_err().to_string()
     };
+    assert!(broken(|o| o.id = ObjectId(FIRST_LOCAL_ID)).contains("id is out of range"));
     assert!(broken(|o| o.transform.position.x = f32::NAN).contains("position"));
     assert!(broken(|o| o.transform.rotation = Quat::from_xyzw(1.0, 1.0, 0.0, 0.0)).contains("rotation"));
     assert!(broken(|o| o.transform.scale.z = 0.0).contains("scale"));
@@ -57,16 +62,16 @@ fn the_place_is_bounded_and_its_models_are_assets() {
         |name: &[u8]| PlaceMesh { model: AssetId::of(name), transform: Transform::default(), casts_shadows: true, gloss: Gloss::MATT };
     let scene = Scene { place: vec![mesh(b"room"), mesh(b"table"), mesh(b"room")], ..Scene::default() };
     assert_eq!(scene.assets().len(), 2);
-    let wire = SceneMessage::Snapshot(scene.clone()).to_wire().unwrap();
-    assert_eq!(SceneMessage::from_wire(&wire).unwrap(), SceneMessage::Snapshot(scene.clone()));
-    let refused = |place| SceneMessage::Snapshot(Scene { place, ..scene.clone() }).to_wire().unwrap_err().to_string();
+    let wire = snapshot(scene.clone()).to_wire().unwrap();
+    assert_eq!(SceneMessage::from_wire(&wire).unwrap(), snapshot(scene.clone()));
+    let refused = |place| snapshot(Scene { place, ..scene.clone() }).to_wire().unwrap_err().to_string();
     assert!(refused(vec![mesh(b"room"); MAX_PLACE_MESHES + 1]).contains("place"));
     let far = Transform { position: Vec3::splat(f32::INFINITY), ..Transform::default() };
     assert!(refused(vec![PlaceMesh { transform: far, ..mesh(b"room") }]).contains("position"));
     let rough = Gloss { roughness: 1.1, ..Gloss::MATT };
     let bright = Gloss { reflectance: f32::NAN, ..Gloss::MATT };
     assert!(refused(vec![PlaceMesh { gloss: rough, ..mesh(b"room") }]).contains("roughness"));
-    let ground = |ground| SceneMessage::Snapshot(Scene { ground, ..Scene::default() }).to_wire().unwrap_err().to_string();
+    let ground = |ground| snapshot(Scene { ground, ..Scene::default() }).to_wire().unwrap_err().to_string();
     assert!(ground(rough).contains("roughness") && ground(bright).contains("reflectance"));
 }
 
@@ -75,7 +80,7 @@ fn the_library_is_bounded_and_its_models_are_assets() {
     let item = LibraryItem { geometry: Geometry::Model(AssetId::of(b"chair")), material: None, ..LibraryItem::shapes()[0].clone() };
     let scene = |library| Scene { library, ..Scene::default() };
     assert_eq!(scene(vec![item.clone()]).assets(), [AssetId::of(b"chair")]);
-    let refused = |item, count| SceneMessage::Snapshot(scene(vec![item; count])).to_wire().unwrap_err().to_string();
+    let refused = |item, count| snapshot(scene(vec![item; count])).to_wire().unwrap_err().to_string();
     assert!(refused(item.clone(), MAX_LIBRARY + 1).contains("library"));
     assert!(refused(LibraryItem { name: String::new(), ..item.clone() }, 1).contains("name"));
     assert!(refused(LibraryItem { scale: Vec3::new(1.0, f32::NAN, 1.0), ..item.clone() }, 1).contains("scale"));
@@ -96,7 +101,7 @@ fn a_full_scene_fits_a_message() {
     let place = vec![mesh; MAX_PLACE_MESHES];
     let item = LibraryItem { name: "ä".repeat(MAX_NAME_CHARS), ..LibraryItem::shapes()[0].clone() };
     let library = vec![item; MAX_LIBRARY];
-    let scene = SceneMessage::Snapshot(Scene { objects: objects.collect(), place, library, ..Scene::default() });
+    let scene = snapshot(Scene { objects: objects.collect(), place, library, ..Scene::default() });
     let wire = scene.to_wire().unwrap();
     assert_eq!(SceneMessage::from_wire(&wire).unwrap(), scene);
 }

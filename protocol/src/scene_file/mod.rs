@@ -170,24 +170,13 @@ impl SceneFile {
     pub fn parse(text: &str, path: &Path) -> Result<Self, SceneFileError> {
         let file: FileScene =
             toml::from_str(text).map_err(|error| SceneFileError::Syntax { path: path.to_owned(), fault: error.to_string() })?;
-        if file.objects.len() > MAX_OBJECTS {
-            return Err(SceneFileError::Scene {
-                path: path.to_owned(),
-                fault: format!("{} objects, at most {MAX_OBJECTS}", file.objects.len()),
-            });
-        }
-        if file.place.len() > MAX_PLACE_MESHES {
-            return Err(SceneFileError::Scene {
-                path: path.to_owned(),
-                fault: format!("{} place meshes, at most {MAX_PLACE_MESHES}; join some in one model", file.place.len()),
-            });
-        }
-        if let Some(items) = file.library.as_ref().map(Vec::len).filter(|items| *items > MAX_LIBRARY) {
-            return Err(SceneFileError::Scene {
-                path: path.to_owned(),
-                fault: format!("{items} items of the library, at most {MAX_LIBRARY}"),
-            });
-        }
+        let at_most = |count: usize, limit: usize, what: &str, remedy: &str| match count > limit {
+            true => Err(SceneFileError::Scene { path: path.to_owned(), fault: format!("{count} {what}, at most {limit}; {remedy}") }),
+            false => Ok(()),
+        };
+        at_most(file.objects.len(), MAX_OBJECTS, "objects", "join some in one model")?;
+        at_most(file.place.len(), MAX_PLACE_MESHES, "place meshes", "join some in one model")?;
+        at_most(file.library.as_ref().map_or(0, Vec::len), MAX_LIBRARY, "items of the library", "leave some out")?;
         let folder = path.parent().unwrap_or(Path::new(""));
         let objects = (1..)
             .zip(file.objects)
@@ -207,12 +196,7 @@ impl SceneFile {
         let scene = Self { path: path.to_owned(), ground_y: file.ground_y, ground, objects, place, library };
         let bounds = Scene { ground_y: scene.ground_y, ground, ..Scene::default() }.validate("scene file");
         bounds.map_err(|error| SceneFileError::Scene { path: path.to_owned(), fault: fault(&error) })?;
-        if scene.models().len() > MAX_ASSETS {
-            return Err(SceneFileError::Scene {
-                path: path.to_owned(),
-                fault: format!("{} models, at most {MAX_ASSETS}", scene.models().len()),
-            });
-        }
+        at_most(scene.models().len(), MAX_ASSETS, "models", "join some in one file")?;
         Ok(scene)
     }
 

@@ -35,7 +35,7 @@ impl SceneTrack {
             full.finish()?;
         }
         let mut group = self.track.append_group()?;
-        group.write_frame(now, SceneMessage::Snapshot(scene.clone()).to_wire()?)?;
+        group.write_frame(now, SceneMessage::Snapshot { at_us: at.0, scene: scene.clone() }.to_wire()?)?;
         self.group = Some(group);
         self.deltas = 0;
         Ok(())

@@ -2,9 +2,9 @@
 
 use std::collections::HashMap;
 
-use glam::{Mat4, Vec3};
+use glam::{DMat4, Vec3};
 use mr360_protocol::asset::AssetId;
-use mr360_protocol::scene::{Geometry, PlaceMesh, Scene, Shape};
+use mr360_protocol::scene::{Geometry, MAX_POSITION_M, PlaceMesh, Scene, Shape};
 use rapier3d::prelude::{ColliderBuilder, Vector};
 
 use super::gltf::{FormError, Triangles};
@@ -12,6 +12,10 @@ use super::hull::{Hull, boxed};
 
 /// A plane has to have a body: this thick, its upper side where it is seen, metres.
 const PLANE_THICKNESS_M: f32 = 0.02;
+/// Largest body, metres: as wide as the world. What is larger nothing touches.
+const MAX_BODY_M: f32 = 2.0 * MAX_POSITION_M;
+/// No corner of the place lies farther out on any axis, metres: beyond it single precision has steps of half a centimetre.
+const MAX_PLACE_M: f32 = 50.0 * MAX_POSITION_M;
 /// Scales that differ by less are one: a sphere stays round.
 const ROUND: f32 = 1e-3;
 
@@ -72,15 +76,26 @@ impl Forms {
             Geometry::Shape(Shape::Cylinder) => self.drum.as_ref().map(|hull| hull.collider(scale)),
             Geometry::Shape(Shape::Cube) => Some(boxed(-half, half)),
             Geometry::Shape(Shape::Plane) => Some(boxed(Vec3::new(-half.x, -PLANE_THICKNESS_M, -half.z), Vec3::new(half.x, 0.0, half.z))),
-            Geometry::Model(id) => self.hulls.get(id).map(|hull| hull.collider(scale)),
+            Geometry::Model(id) => self.hulls.get(id).filter(|hull| hull.extent(scale) <= MAX_BODY_M).map(|hull| hull.collider(scale)),
         }
     }
 
     /// A mesh of the place in the world.
     pub(super) fn place(&self, mesh: &PlaceMesh) -> Option<ColliderBuilder> {
         let triangles = self.meshes.get(&mesh.model)?;
-        let world = Mat4::from_scale_rotation_translation(mesh.transform.scale, mesh.transform.rotation, mesh.transform.position);
-        let corners = triangles.corners.iter().map(|p| Vector::from_array(world.transform_point3(*p).to_array())).collect();
+        let PlaceMesh { transform, .. } = mesh;
+        let world = DMat4::from_scale_rotation_translation(
+            transform.scale.as_dvec3(),
+            transform.rotation.as_dquat(),
+            transform.position.as_dvec3(),
+        );
+        let corners: Vec<_> = triangles.corners.iter().map(|p| world.transform_point3(p.as_dvec3()).as_vec3()).collect();
+        let sound = corners.iter().all(|corner| corner.abs().max_element() <= MAX_PLACE_M);
+        if !sound {
+            tracing::warn!("place model {}: reaches farther than {MAX_PLACE_M} m; objects fall through it", mesh.model);
+            return None;
+        }
+        let corners = corners.into_iter().map(|corner| Vector::from_array(corner.to_array())).collect();
         let built = ColliderBuilder::trimesh(corners, triangles.indices.clone());
         if let Err(fault) = &built {
             tracing::warn!("place model {}: {fault}; objects fall through it", mesh.model);

@@ -4,12 +4,17 @@ use std::borrow::Cow;
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
-use glam::{Mat4, Vec3};
+use glam::{DMat4, Vec3};
 use gltf::accessor::{DataType, Dimensions};
 use gltf::mesh::Mode;
+use mr360_protocol::scene::{MAX_POSITION_M, MAX_SCALE};
 
 /// Most corners of a model, as viewers bound them.
 const MAX_CORNERS: usize = 2_000_000;
+/// Most indices of a model.
+const MAX_INDICES: usize = 3 * MAX_CORNERS;
+/// No corner lies farther from the model's origin on any axis: a kilometre in millimetres, as scales allow it.
+const MAX_CORNER: f32 = MAX_POSITION_M * MAX_SCALE;
 /// Most triangles of a mesh of the place that objects collide with.
 const MAX_PLACE_TRIANGLES: usize = 200_000;
 /// Most bytes of a model's buffers together.
@@ -60,6 +65,7 @@ impl Triangles {
         let buffers = buffers(&document, blob.as_deref())?;
         let nodes = world(&document)?;
         let mut out = Self::default();
+        let mut budget = MAX_INDICES;
         for node in document.nodes() {
             let Some(Some(own)) = nodes.get(node.index()) else { continue };
             let Some(mesh) = node.mesh() else { continue };
@@ -68,7 +74,7 @@ impl Triangles {
                 None => *own,
             };
             for primitive in mesh.primitives() {
-                out.add(&primitive, &placed, &buffers)?;
+                out.add(&primitive, &placed, &buffers, &mut budget)?;
             }
         }
         if out.indices.is_empty() { Err(FormError::Empty) } else { Ok(out) }
@@ -82,7 +88,14 @@ impl Triangles {
         Ok(self)
     }
 
-    fn add(&mut self, primitive: &gltf::Primitive<'_>, placed: &Mat4, buffers: &[Cow<'_, [u8]>]) -> Result<(), FormError> {
+    /// `budget` is how many more indices the model may have: primitives may name the same ones again and again.
+    fn add(
+        &mut self,
+        primitive: &gltf::Primitive<'_>,
+        placed: &DMat4,
+        buffers: &[Cow<'_, [u8]>],
+        budget: &mut usize,
+    ) -> Result<(), FormError> {
         if !matches!(primitive.mode(), Mode::Triangles | Mode::TriangleStrip | Mode::TriangleFan) {
             return Ok(());
         }
@@ -92,13 +105,16 @@ impl Triangles {
             return Err(FormError::TooLarge { what: "corners", limit: MAX_CORNERS });
         }
         for corner in floats::<3>(&accessor, buffers, Dimensions::Vec3)? {
-            let corner = placed.transform_point3(corner.into());
-            if !corner.is_finite() {
-                return Err(broken(format!("accessor {}: a corner is not finite", accessor.index())));
+            let corner = placed.transform_point3(Vec3::from(corner).as_dvec3()).as_vec3();
+            let sound = corner.is_finite() && corner.abs().max_element() <= MAX_CORNER;
+            if !sound {
+                return Err(broken(format!("accessor {}: a corner is not a number, or farther out than {MAX_CORNER}", accessor.index())));
             }
             self.corners.push(corner);
         }
         let count = self.corners.len() - start;
+        let named = primitive.indices().map_or(count, |accessor| accessor.count());
+        *budget = budget.checked_sub(named).ok_or(FormError::TooLarge { what: "indices", limit: MAX_INDICES })?;
         let order = match primitive.indices() {
             Some(accessor) => indices(&accessor, buffers)?,
             None => (0..count as u32).collect(),
@@ -165,16 +181,16 @@ fn buffers<'a>(document: &gltf::Document, blob: Option<&'a [u8]>) -> Result<Vec<
 }
 
 /// Where each node of the scene rests in the model's frame.
-fn world(document: &gltf::Document) -> Result<Vec<Option<Mat4>>, FormError> {
+fn world(document: &gltf::Document) -> Result<Vec<Option<DMat4>>, FormError> {
     let mut out = vec![None; document.nodes().len()];
     let Some(scene) = document.default_scene().or_else(|| document.scenes().next()) else { return Ok(out) };
-    let mut open: Vec<_> = scene.nodes().map(|node| (node, Mat4::IDENTITY, 1)).collect();
+    let mut open: Vec<_> = scene.nodes().map(|node| (node, DMat4::IDENTITY, 1)).collect();
     while let Some((node, parent, depth)) = open.pop() {
         let slot = out.get_mut(node.index()).ok_or_else(|| broken(format!("node {} does not exist", node.index())))?;
         if depth > MAX_DEPTH || slot.is_some() {
             return Err(broken(format!("node {} has two parents, is its own ancestor, or lies too deep", node.index())));
         }
-        let own = parent * Mat4::from_cols_array_2d(&node.transform().matrix());
+        let own = parent * DMat4::from_cols_array_2d(&node.transform().matrix().map(|column| column.map(f64::from)));
         *slot = Some(own);
         open.extend(node.children().map(|child| (child, own, depth + 1)));
     }
@@ -182,12 +198,12 @@ fn world(document: &gltf::Document) -> Result<Vec<Option<Mat4>>, FormError> {
 }
 
 /// From the frame of a skinned mesh to the model's, by the skin's first joint.
-fn bound(skin: &gltf::Skin<'_>, nodes: &[Option<Mat4>], buffers: &[Cow<'_, [u8]>]) -> Result<Mat4, FormError> {
+fn bound(skin: &gltf::Skin<'_>, nodes: &[Option<DMat4>], buffers: &[Cow<'_, [u8]>]) -> Result<DMat4, FormError> {
     let joint = skin.joints().next().and_then(|joint| nodes.get(joint.index()).copied().flatten());
     let joint = joint.ok_or_else(|| broken(format!("skin {} has no joint in the scene", skin.index())))?;
     let Some(accessor) = skin.inverse_bind_matrices() else { return Ok(joint) };
     let inverse = floats::<16>(&accessor, buffers, Dimensions::Mat4)?;
-    Ok(joint * inverse.first().map_or(Mat4::IDENTITY, Mat4::from_cols_array))
+    Ok(joint * inverse.first().map_or(DMat4::IDENTITY, |inverse| DMat4::from_cols_array(&inverse.map(f64::from))))
 }
 
 /// The bytes of an accessor's elements, each `size` long; every bound is checked before anything is allocated for them.
@@ -197,7 +213,7 @@ fn elements<'a>(
     size: usize,
 ) -> Result<impl Iterator<Item = &'a [u8]> + use<'a>, FormError> {
     let fault = || broken(format!("accessor {} lies outside of its buffer, or is sparse", accessor.index()));
-    if accessor.sparse().is_some() || accessor.count() > 3 * MAX_CORNERS {
+    if accessor.sparse().is_some() || accessor.count() > MAX_INDICES {
         return Err(fault());
     }
     let view = accessor.view().ok_or_else(fault)?;
@@ -241,29 +257,17 @@ fn indices(accessor: &gltf::Accessor<'_>, buffers: &[Cow<'_, [u8]>]) -> Result<V
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::physics::test_models;
 
-    /// Two triangles, one scaled to double size by its node, as a .gltf with everything embedded.
+    /// Two triangles, one scaled to double size by its node.
     fn file(change: impl Fn(&mut serde_json::Value)) -> Vec<u8> {
-        let corners: Vec<u8> = [0.0f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0].iter().flat_map(|v| v.to_le_bytes()).collect();
-        let bytes: Vec<u8> = corners.into_iter().chain([0, 0, 1, 0, 2, 0]).collect();
-        let mut json = serde_json::json!({
-            "asset": { "version": "2.0" }, "scene": 0, "scenes": [{ "nodes": [0, 1] }],
-            "nodes": [{ "mesh": 0, "scale": [2.0, 2.0, 2.0] }, { "mesh": 1, "translation": [0.0, 5.0, 0.0] }],
-            "meshes": [
-                { "primitives": [{ "attributes": { "POSITION": 0 }, "indices": 1 }] },
-                { "primitives": [{ "attributes": { "POSITION": 0 }, "mode": 5 }] },
-            ],
-            "accessors": [
-                { "bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3", "min": [0.0, 0.0, 0.0], "max": [1.0, 1.0, 0.0] },
-                { "bufferView": 1, "componentType": 5123, "count": 3, "type": "SCALAR" },
-            ],
-            "bufferViews": [
-                { "buffer": 0, "byteOffset": 0, "byteLength": 36 }, { "buffer": 0, "byteOffset": 36, "byteLength": 6 },
-            ],
-            "buffers": [{ "byteLength": 42, "uri": format!("data:application/octet-stream;base64,{}", STANDARD.encode(bytes)) }],
-        });
+        let mut json = test_models::gltf(&[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], &[[0, 1, 2]]);
+        json["scenes"][0]["nodes"] = serde_json::json!([0, 1]);
+        json["nodes"] = serde_json::json!([{ "mesh": 0, "scale": [2.0, 2.0, 2.0] }, { "mesh": 1, "translation": [0.0, 5.0, 0.0] }]);
+        let strip = serde_json::json!({ "primitives": [{ "attributes": { "POSITION": 0 }, "mode": 5 }] });
+        json["meshes"].as_array_mut().unwrap().push(strip);
         change(&mut json);
-        serde_json::to_vec(&json).unwrap()
+        test_models::bytes(&json).to_vec()
     }
 
     #[test]
@@ -284,9 +288,33 @@ mod tests {
     }
 
     #[test]
+    fn without_indices_the_corners_are_taken_in_order() {
+        let read = Triangles::read(&file(|json| json["meshes"][0]["primitives"][0]["indices"] = serde_json::Value::Null)).unwrap();
+        assert_eq!(read.indices, [[0, 1, 2], [3, 4, 5]]);
+    }
+
+    #[test]
+    fn indices_are_counted_over_all_that_name_them() {
+        let many = |primitives: usize| {
+            file(|json| {
+                json["buffers"].as_array_mut().unwrap().push(test_models::buffer(&vec![0; MAX_INDICES / 2]));
+                let view = serde_json::json!({ "buffer": 1, "byteOffset": 0, "byteLength": MAX_INDICES / 2 });
+                json["bufferViews"].as_array_mut().unwrap().push(view);
+                json["accessors"][1] =
+                    serde_json::json!({ "bufferView": 2, "componentType": 5121, "count": MAX_INDICES / 2, "type": "SCALAR" });
+                let primitive = json["meshes"][0]["primitives"][0].clone();
+                json["meshes"][0]["primitives"] = vec![primitive; primitives].into();
+                json["scenes"][0]["nodes"] = serde_json::json!([0]);
+            })
+        };
+        assert_eq!(Triangles::read(&many(2)).unwrap().indices.len(), MAX_INDICES / 3);
+        assert_eq!(Triangles::read(&many(3)), Err(FormError::TooLarge { what: "indices", limit: MAX_INDICES }));
+    }
+
+    #[test]
     fn broken_files_are_refused() {
         type Change = fn(&mut serde_json::Value);
-        let changes: [(&str, Change); 10] = [
+        let changes: [(&str, Change); 11] = [
             ("does not exist", |json| json["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = 7.into()),
             ("outside", |json| json["accessors"][0]["count"] = 4.into()),
             ("outside", |json| json["accessors"][0]["byteOffset"] = u32::MAX.into()),
@@ -294,17 +322,14 @@ mod tests {
             ("cut short", |json| json["buffers"][0]["byteLength"] = 43.into()),
             ("another file", |json| json["buffers"][0]["uri"] = "a.bin".into()),
             ("ancestor", |json| json["nodes"][1]["children"] = serde_json::json!([1])),
-            ("not there", |json| json["meshes"][0]["primitives"][0]["indices"] = serde_json::Value::Null),
+            ("farther out", |json| json["nodes"][0]["scale"] = serde_json::json!([1e38, 1.0, 1.0])),
+            ("not a number", |json| json["nodes"][0]["translation"] = serde_json::json!([0.0, 1e7, 0.0])),
             ("more than", |json| json["accessors"][0]["count"] = 3_000_000.into()),
             ("no triangles", |json| json["scenes"][0]["nodes"] = serde_json::json!([])),
         ];
         for (says, change) in changes {
-            let bytes = file(change);
-            match Triangles::read(&bytes) {
-                // Without indices the corners are taken in order.
-                Ok(read) => assert!(says == "not there" && read.indices.len() == 2, "{says}"),
-                Err(fault) => assert!(fault.to_string().contains(says), "{says}: {fault}"),
-            }
+            let fault = Triangles::read(&file(change)).unwrap_err().to_string();
+            assert!(fault.contains(says), "{says}: {fault}");
         }
         let far = file(|json| json["buffers"][0]["uri"] = format!("data:;base64,{}", STANDARD.encode([9; 42])).into());
         assert!(matches!(Triangles::read(&far), Err(FormError::Broken(fault)) if fault.contains("corner that is not there")));

@@ -21,6 +21,8 @@ const MIN_FLATNESS: f32 = 0.1;
 
 /// How far the corners of a flat side move inwards that it does not stand on, as a share of its body's size.
 const FEET: f32 = 0.08;
+/// And at most by this share of the body's thickness there.
+const FEET_OF_THICKNESS: f32 = 0.25;
 
 impl Hull {
     /// Around the points that lie farthest along each of [`directions`]; `None` of no points.
@@ -57,6 +59,11 @@ impl Hull {
         Self::around(&rim.flat_map(|point| [point + Vec3::Y * 0.5, point - Vec3::Y * 0.5]).collect::<Vec<_>>())
     }
 
+    /// Its longest side, scaled.
+    pub(super) fn extent(&self, scale: Vec3) -> f32 {
+        ((self.max - self.min) * scale).max_element()
+    }
+
     /// Scaled by a factor on each axis: it stays convex, so its faces stay what they are.
     pub(super) fn collider(&self, scale: Vec3) -> ColliderBuilder {
         let corners: Vec<_> = self.corners.iter().map(|p| Vector::from_array((*p * scale).to_array())).collect();
@@ -69,7 +76,8 @@ impl Hull {
 
 fn hull(points: &[Vec3]) -> Option<(Vec<Vec3>, Vec<[u32; 3]>)> {
     let vectors: Vec<_> = points.iter().map(|p| Vector::from_array(p.to_array())).collect();
-    let (corners, faces) = try_convex_hull(&vectors).ok()?;
+    // It refuses most degenerate points and asserts over some: then the box around them is as good.
+    let (corners, faces) = std::panic::catch_unwind(|| try_convex_hull(&vectors)).ok()?.ok()?;
     Some((corners.iter().map(|p| Vec3::from_array(p.to_array())).collect(), faces))
 }
 
@@ -77,7 +85,9 @@ fn hull(points: &[Vec3]) -> Option<(Vec<Vec3>, Vec<[u32; 3]>)> {
 /// side the four that span most of it stay, and the others move inwards a little.
 fn with_feet(mut corners: Vec<Vec3>, faces: &[[u32; 3]]) -> Vec<Vec3> {
     let at = |corners: &[Vec3], i: u32| corners[i as usize];
-    let size = corners.iter().map(|p| p.abs().max_element()).fold(0.0, f32::max);
+    let Some(first) = corners.first().copied() else { return corners };
+    let (min, max) = corners.iter().fold((first, first), |(min, max), p| (min.min(*p), max.max(*p)));
+    let size = (max - min).max_element();
     let plane = |face: &[u32; 3]| {
         let [a, b, c] = face.map(|i| at(&corners, i));
         let normal = (b - a).cross(c - a).normalize_or_zero();
@@ -95,11 +105,13 @@ fn with_feet(mut corners: Vec<Vec3>, faces: &[[u32; 3]]) -> Vec<Vec3> {
         let side: Vec<u32> = (0..corners.len() as u32).filter(|i| (normal.dot(at(&corners, *i)) - offset).abs() < size * 1e-3).collect();
         if side.len() > 4 {
             let feet = four_of(&side, normal, |i| at(&corners, i));
-            moved.extend(side.into_iter().filter(|i| !feet.contains(i)).map(|i| (i, normal)));
+            let thickness = corners.iter().map(|p| offset - normal.dot(*p)).fold(0.0, f32::max);
+            let inwards = normal * (size * FEET).min(thickness * FEET_OF_THICKNESS);
+            moved.extend(side.into_iter().filter(|i| !feet.contains(i)).map(|i| (i, inwards)));
         }
     }
-    for (i, normal) in moved {
-        corners[i as usize] -= normal * (size * FEET);
+    for (i, inwards) in moved {
+        corners[i as usize] -= inwards;
     }
     corners
 }
@@ -158,6 +170,42 @@ mod tests {
         let ratio = volume(&drum, Vec3::new(1.0, 2.0, 3.0)) / volume(&drum, Vec3::ONE);
         assert!((ratio - 6.0).abs() < 0.01, "{ratio}");
         assert!(volume(&Hull::ball().unwrap(), Vec3::ONE) / (ball / 8.0) > 0.9);
+    }
+
+    #[test]
+    fn a_body_has_the_same_form_wherever_its_model_has_its_origin() {
+        let points: Vec<_> = Hull::drum().unwrap().corners.iter().map(|p| *p * 0.25).collect();
+        // An eighth, so that the sums are exact.
+        let off = Vec3::new(2.0, 1.0, -4.0);
+        let shifted: Vec<_> = points.iter().map(|p| *p + off).collect();
+        let (own, shifted) = (Hull::around(&points).unwrap(), Hull::around(&shifted).unwrap());
+        assert_eq!(own.corners.len(), shifted.corners.len());
+        for corner in &own.corners {
+            let apart = shifted.corners.iter().map(|other| other.distance(*corner + off)).fold(f32::INFINITY, f32::min);
+            assert!(apart < 1e-5, "{corner} is {apart} m off");
+        }
+    }
+
+    #[test]
+    fn feet_of_a_thin_body_are_no_deeper_than_a_share_of_it() {
+        let height = 0.15;
+        let drum = Hull::drum().unwrap();
+        let points: Vec<_> = drum.corners.iter().map(|p| Vec3::new(p.x, p.y.signum() * 0.5 * height, p.z)).collect();
+        let hull = Hull::around(&points).unwrap();
+        assert!(!hull.faces.is_empty());
+        let least = hull.corners.iter().map(|p| p.y.abs()).fold(f32::INFINITY, f32::min);
+        assert!(least >= height * (0.5 - FEET_OF_THICKNESS) - 1e-5, "a corner at {least} m of {height}");
+    }
+
+    #[test]
+    fn degenerate_points_are_no_panic() {
+        for scale in [1e-30, 1e-12, 1.0, 1e6] {
+            for spread in [0.0, 1e-7, 1e-4, 1.0] {
+                let point = |i: u8| Vec3::new(f32::from(i % 7), f32::from(i % 5) * spread, f32::from(i % 3)) * scale;
+                let hull = Hull::around(&(0..=255).map(point).collect::<Vec<_>>()).unwrap();
+                let _ = rapier3d::prelude::Collider::from(hull.collider(Vec3::ONE));
+            }
+        }
     }
 
     #[test]

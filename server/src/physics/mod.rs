@@ -1,17 +1,21 @@
 //! Physics of the scene: what is let go of falls, flies, collides and comes to rest, the same for every viewer.
 //!
 //! Steps are of fixed length and nothing in here asks for the time, so that the same wishes between the same steps end in the same
-//! place, bit for bit. While everything rests, nothing is computed.
+//! place, bit for bit, on every machine: the solver computes in its deterministic mode, and what is computed here in single precision alone
+//! or by f64 types, which have no vector instructions. While everything rests, nothing is computed.
 
+mod crowd;
 mod form;
 mod gltf;
 mod hull;
+#[cfg(test)]
+mod test_models;
 #[cfg(test)]
 mod tests;
 
 use std::collections::BTreeMap;
 
-use glam::{Quat, Vec3};
+use glam::{DQuat, Quat, Vec3};
 use mr360_protocol::intent::{MAX_SPEED_M_S, MAX_SPIN_RAD_S, Motion};
 use mr360_protocol::scene::{Geometry, MAX_POSITION_M, Object, ObjectId, Scene, Transform};
 use rapier3d::prelude::{
@@ -44,6 +48,8 @@ const MAX_PUSH_M: f32 = MAX_SPEED_M_S * STEP_S;
 pub struct Physics {
     world: PhysicsWorld,
     bodies: BTreeMap<ObjectId, Body>,
+    /// The meshes of the place.
+    place: Vec<ColliderHandle>,
     forms: Forms,
     /// Something moves, or may.
     awake: bool,
@@ -54,9 +60,13 @@ struct Body {
     /// None where its model tells no form: it is where it was put, and nothing touches it.
     collider: Option<ColliderHandle>,
     geometry: Geometry,
+    /// The scale that the collider was made for; none where it has to be made anew.
+    formed: Option<Vec3>,
     /// Stays where it is put.
     fixed: bool,
     held: bool,
+    /// It was let go of since the last step.
+    let_go: Option<Motion>,
     /// As viewers know it; of a held one, where it is to go.
     transform: Transform,
 }
@@ -71,12 +81,9 @@ impl Physics {
         let ground =
             ColliderBuilder::halfspace(rapier3d::na::Unit::new_unchecked(Vector::Y)).translation(Vector::new(0.0, scene.ground_y, 0.0));
         world.insert_collider(surface(ground), None);
-        for mesh in &scene.place {
-            if let Some(collider) = forms.place(mesh) {
-                world.insert_collider(surface(collider), None);
-            }
-        }
-        let mut physics = Self { world, bodies: BTreeMap::new(), forms, awake: false };
+        let place = scene.place.iter().filter_map(|mesh| forms.place(mesh));
+        let place = place.map(|collider| world.insert_collider(surface(collider), None)).collect();
+        let mut physics = Self { world, bodies: BTreeMap::new(), place, forms, awake: false };
         for object in &scene.objects {
             physics.insert(object, fixed(object.id), true);
         }
@@ -92,17 +99,18 @@ impl Physics {
     fn insert(&mut self, object: &Object, fixed: bool, asleep: bool) {
         let transform = object.transform;
         let collider = self.forms.collider(&object.geometry, transform.scale);
-        let fixed = fixed || collider.is_none();
-        let kind = if fixed { RigidBodyType::KinematicPositionBased } else { RigidBodyType::Dynamic };
+        let stays = fixed || collider.is_none();
+        let kind = if stays { RigidBodyType::KinematicPositionBased } else { RigidBodyType::Dynamic };
         let body = RigidBodyBuilder::new(kind)
             .pose(pose(&transform))
             .linear_damping(LINEAR_DAMPING)
             .angular_damping(ANGULAR_DAMPING)
             .ccd_enabled(true)
-            .sleeping(asleep || fixed);
+            .sleeping(asleep || stays);
         let handle = self.world.insert_body(body);
         let collider = collider.map(|collider| self.world.insert_collider(surface(collider), Some(handle)));
-        self.bodies.insert(object.id, Body { handle, collider, geometry: object.geometry, fixed, held: false, transform });
+        let (geometry, formed) = (object.geometry, Some(transform.scale));
+        self.bodies.insert(object.id, Body { handle, collider, geometry, formed, fixed, held: false, let_go: None, transform });
     }
 
     /// Takes an object away. What leant on it falls.
@@ -116,10 +124,14 @@ impl Physics {
     /// Somebody takes hold of an object: it goes where [`Physics::move_to`] says, and pushes what is in its way.
     pub fn hold(&mut self, object: ObjectId) {
         let Some(body) = self.bodies.get_mut(&object).filter(|body| !body.held) else { return };
-        body.held = true;
+        (body.held, body.let_go) = (true, None);
         if let Some(rigid) = self.world.bodies.get_mut(body.handle) {
             rigid.set_enabled(true);
             rigid.set_body_type(RigidBodyType::KinematicPositionBased, true);
+        }
+        if body.collider.and_then(|collider| self.world.colliders.get(collider)).is_some_and(|collider| !collider.is_enabled()) {
+            // Its motion or its form was not finite.
+            body.formed = None;
         }
         self.awake = true;
     }
@@ -127,36 +139,15 @@ impl Physics {
     /// Where a held object is to be after the next step.
     pub fn move_to(&mut self, object: ObjectId, transform: Transform) {
         let Some(body) = self.bodies.get_mut(&object).filter(|body| body.held) else { return };
-        let scaled = body.transform.scale != transform.scale;
         body.transform = transform;
         self.awake = true;
-        if scaled && let Some(old) = body.collider {
-            let (handle, form) = (body.handle, self.forms.collider(&body.geometry, transform.scale));
-            self.world.remove_collider(old);
-            let new = form.map(|form| self.world.insert_collider(surface(form), Some(handle)));
-            if let Some(body) = self.bodies.get_mut(&object) {
-                body.collider = new;
-            }
-        }
     }
 
-    /// Lets go of a held object.
+    /// Lets go of a held object, which the next step has flying.
     pub fn release(&mut self, object: ObjectId, motion: Motion) {
         let Some(body) = self.bodies.get_mut(&object).filter(|body| body.held) else { return };
-        body.held = false;
+        (body.held, body.let_go) = (false, Some(motion.bounded()));
         self.awake = true;
-        let (pose, free) = (pose(&body.transform), !body.fixed);
-        let Some(rigid) = self.world.bodies.get_mut(body.handle) else { return };
-        rigid.set_position(pose, true);
-        if free {
-            rigid.set_body_type(RigidBodyType::Dynamic, true);
-            let motion = motion.bounded();
-            let (linear, angular) = (vector(motion.linear), vector(motion.angular));
-            // The motion is that of the origin, the solver wants that of the middle of mass.
-            let arm = rigid.center_of_mass() - pose.translation;
-            rigid.set_linvel(linear + angular.cross(arm), true);
-            rigid.set_angvel(angular, true);
-        }
     }
 
     /// One step. The objects that moved by themselves, as viewers are to see them, in order.
@@ -164,7 +155,10 @@ impl Physics {
         if !self.awake {
             return Vec::new();
         }
+        self.reform();
         self.lead_held();
+        self.throw();
+        self.keep_affordable();
         self.world.step();
         if !self.world.quarantine().is_empty() {
             tracing::error!("an object's motion was not finite; it stays where it was until somebody takes hold of it");
@@ -177,10 +171,10 @@ impl Physics {
             }
             let (at, rotation) = (position(rigid.position()), quaternion(rigid.rotation()));
             let told = body.transform;
-            let differs = if rigid.is_sleeping() {
+            let differs = if rigid.is_sleeping() || !rigid.is_enabled() {
                 (at, rotation) != (told.position, told.rotation)
             } else {
-                at.distance_squared(told.position) > TOLD_M * TOLD_M || (rotation * told.rotation.inverse()).xyz().length() > TOLD_RAD
+                at.distance_squared(told.position) > TOLD_M * TOLD_M || half_turn(rotation, told.rotation) > TOLD_RAD
             };
             if differs {
                 body.transform = Transform { position: at, rotation, ..told };
@@ -195,6 +189,38 @@ impl Physics {
     #[must_use]
     pub fn at_rest(&self) -> bool {
         !self.awake
+    }
+
+    /// Makes the colliders of what was scaled anew, each once, however often it was.
+    fn reform(&mut self) {
+        for body in self.bodies.values_mut().filter(|body| body.formed != Some(body.transform.scale)) {
+            if let Some(old) = body.collider.take() {
+                self.world.remove_collider(old);
+            }
+            let form = self.forms.collider(&body.geometry, body.transform.scale);
+            body.collider = form.map(|form| self.world.insert_collider(surface(form), Some(body.handle)));
+            body.formed = Some(body.transform.scale);
+        }
+    }
+
+    /// Has what was let go of fly.
+    fn throw(&mut self) {
+        for body in self.bodies.values_mut() {
+            let Some(motion) = body.let_go.take() else { continue };
+            let (pose, free) = (pose(&body.transform), !body.fixed && body.collider.is_some());
+            crowd::set_enabled(&mut self.world.colliders, body.collider, true);
+            let Some(rigid) = self.world.bodies.get_mut(body.handle) else { continue };
+            rigid.set_position(pose, true);
+            if free {
+                rigid.set_body_type(RigidBodyType::Dynamic, true);
+                rigid.recompute_mass_properties_from_colliders(&self.world.colliders);
+                let (linear, angular) = (vector(motion.linear), vector(motion.angular));
+                // The motion is that of the origin, the solver wants that of the middle of mass.
+                let arm = rigid.center_of_mass() - pose.translation;
+                rigid.set_linvel(linear + angular.cross(arm), true);
+                rigid.set_angvel(angular, true);
+            }
+        }
     }
 
     fn lead_held(&mut self) {
@@ -246,5 +272,11 @@ fn position(pose: &Pose) -> Vec3 {
 }
 
 fn quaternion(rotation: &Rotation) -> Quat {
-    Quat::from_array(rotation.to_array()).normalize()
+    let [x, y, z, w] = rotation.to_array();
+    DQuat::from_xyzw(x.into(), y.into(), z.into(), w.into()).normalize().as_quat()
+}
+
+/// Half the angle between two turns, for small ones.
+fn half_turn(a: Quat, b: Quat) -> f32 {
+    (a.as_dquat() * b.as_dquat().inverse()).xyz().length() as f32
 }

@@ -1,5 +1,6 @@
 //! Who may do what, and what becomes of it.
 
+use super::known::REMEMBERED;
 use super::users::{Event, follow_users};
 use super::*;
 use glam::Vec3;
@@ -7,12 +8,12 @@ use mr360_protocol::codec::Message;
 use mr360_protocol::scene::{Geometry, Shape};
 use mr360_protocol::track;
 
-/// Cubes a metre wide that hang in the air, too far apart to touch each other.
+/// Cubes a metre wide that hang in the air on a grid, too far apart to touch each other.
 fn cubes(count: u32) -> Session {
     let object = |id: u32| Object {
         id: ObjectId(id),
         geometry: Geometry::Shape(Shape::Cube),
-        transform: Transform { position: Vec3::new(0.0, 2.0, -10.0 * id as f32 % 900.0), ..Transform::default() },
+        transform: Transform { position: Vec3::new((id / 32) as f32 * 10.0, 2.0, (id % 32) as f32 * -10.0), ..Transform::default() },
         material: None,
         animation: Default::default(),
     };
@@ -75,7 +76,7 @@ fn what_is_delivered_again_after_a_reconnect_is_old() {
     session.intent("ann", &Intent { sequence: 8, action: Action::Release(ObjectId(1), Motion::STILL) }).unwrap();
     session.leave("ann", now);
     session.leave("bob", now + REMEMBERED);
-    assert!(session.sequences.is_empty(), "users who left are not remembered for ever");
+    assert!(session.users.is_empty(), "users who left are not remembered for ever");
 }
 
 #[test]
@@ -147,25 +148,155 @@ fn items_of_the_library_are_put_and_objects_removed() {
     assert_eq!(session.scene().objects.iter().map(|o| o.id.0).collect::<Vec<_>>(), [1, 2, 4, 6]);
 
     assert_eq!(wish(&mut session, "ann", 7, Action::Put { item: 4, transform: to(0.0) }), Err(Refusal::NoSuchItem(4)));
-    let room = MAX_OBJECTS - session.scene().objects.len();
-    (0..room as u64).for_each(|i| wish(&mut session, "ann", 8 + i, put(i as f32)).unwrap());
+    fill(&mut session);
     assert_eq!(wish(&mut session, "ann", 9999, put(0.0)), Err(Refusal::Full));
     // A refusal takes no number: the same wish may come again.
     wish(&mut session, "ann", 9998, Action::Remove(ObjectId(1))).unwrap();
     wish(&mut session, "ann", 9999, put(0.0)).unwrap();
 }
 
+/// Puts until nothing more has room, by many users.
+fn fill(session: &mut Session) {
+    for i in 0..(MAX_OBJECTS - session.objects.len()) as u64 {
+        let user = format!("user{}", i / u64::from(PUT_BURST));
+        wish(session, &user, 1 + i, Action::Put { item: 1, transform: to(2.0 * i as f32 - 900.0) }).unwrap();
+    }
+}
+
+/// All that was changed is known to viewers.
+fn publish_all(session: &mut Session) {
+    while !session.unpublished.is_empty() {
+        session.tick();
+    }
+}
+
+fn is_published(session: &Session) -> bool {
+    session.scene.objects.iter().eq(session.objects.values())
+}
+
+#[test]
+fn a_full_scene_takes_what_is_put_for_what_is_removed() {
+    let mut session = session();
+    fill(&mut session);
+    publish_all(&mut session);
+    for round in 0..3u32 {
+        // So that what is put would have its turn first.
+        session.published = ObjectId(500);
+        wish(&mut session, "ann", 10 + u64::from(round), Action::Remove(ObjectId(5 + round))).unwrap();
+        wish(&mut session, "ann", 20 + u64::from(round), Action::Put { item: 1, transform: to(950.0) }).unwrap();
+        let changes = session.tick().unwrap();
+        assert_eq!(changes[0], Change::Remove(ObjectId(5 + round)));
+        assert!(changes.iter().any(|change| matches!(change, Change::Put(put) if put.id == ObjectId(1025 + round))), "{changes:?}");
+        assert!(session.scene.object(ObjectId(5 + round)).is_none() && session.scene.objects.len() == MAX_OBJECTS);
+    }
+    while !session.at_rest() {
+        session.tick();
+    }
+    assert!(is_published(&session));
+}
+
+#[test]
+fn changes_that_do_not_fit_are_gathered_anew() {
+    let mut session = session();
+    wish(&mut session, "ann", 1, Action::Move(ObjectId(1), to(1.0))).unwrap();
+    wish(&mut session, "ann", 2, Action::Put { item: 1, transform: to(5.0) }).unwrap();
+    wish(&mut session, "ann", 3, Action::Remove(ObjectId(2))).unwrap();
+    session.unpublished.insert(ObjectId(77), Unpublished::Removed);
+    assert_eq!(session.tick(), None);
+    let changes = session.tick().unwrap();
+    assert!(changes.contains(&Change::Remove(ObjectId(2))) && changes.contains(&Change::Move(ObjectId(1), to(1.0))), "{changes:?}");
+    assert!(is_published(&session));
+}
+
+#[test]
+fn a_user_holds_puts_and_removes_a_few_objects_and_leaves_others_theirs() {
+    let mut session = cubes(100);
+    for id in 1..=MAX_HELD as u32 {
+        wish(&mut session, "ann", id.into(), Action::Grab(ObjectId(id))).unwrap();
+    }
+    assert_eq!(wish(&mut session, "ann", 50, Action::Grab(ObjectId(50))), Err(Refusal::TooManyHeld));
+    assert_eq!(wish(&mut session, "ann", 50, Action::Move(ObjectId(50), to(1.0))), Err(Refusal::TooManyHeld));
+    wish(&mut session, "ann", 51, Action::Move(ObjectId(1), to(1.0))).unwrap();
+    wish(&mut session, "bob", 1, Action::Grab(ObjectId(50))).unwrap();
+    wish(&mut session, "ann", 52, Action::Release(ObjectId(1), Motion::STILL)).unwrap();
+    wish(&mut session, "ann", 53, Action::Grab(ObjectId(51))).unwrap();
+
+    // At once so many, then at a pace, and in all an eighth of a scene.
+    let put = Action::Put { item: 1, transform: to(500.0) };
+    let mut sequence = 100;
+    let mut puts = |session: &mut Session, ticks: u32| {
+        (0..ticks).for_each(|_| drop(session.tick()));
+        let granted = std::iter::from_fn(|| {
+            sequence += 1;
+            Some(wish(session, "ann", sequence, put.clone()))
+        });
+        let mut granted = granted.take_while(Result::is_ok).count();
+        if granted == 0 {
+            granted = usize::MAX;
+        }
+        granted
+    };
+    assert_eq!(puts(&mut session, 0), PUT_BURST as usize);
+    assert_eq!(puts(&mut session, 16), 1);
+    assert_eq!(wish(&mut session, "ann", 1_000, Action::Remove(ObjectId(60))), Err(Refusal::TooFast));
+    wish(&mut session, "bob", 2, Action::Remove(ObjectId(60))).unwrap();
+    while puts(&mut session, 600) != usize::MAX {}
+    assert_eq!(session.put_by.len(), MAX_PUT);
+    assert_eq!(wish(&mut session, "ann", 2_000, put.clone()), Err(Refusal::TooManyPut));
+    wish(&mut session, "bob", 3, put.clone()).unwrap();
+    let own = *session.put_by.iter().find(|(_, by)| *by == "ann").unwrap().0;
+    wish(&mut session, "ann", 2_001, Action::Remove(own)).unwrap();
+    wish(&mut session, "ann", 2_002, put).unwrap();
+}
+
+#[test]
+fn drags_that_overtake_each_other_all_count_and_none_twice() {
+    let mut session = session();
+    let put = Action::Put { item: 1, transform: to(5.0) };
+    let [first, second] = [ObjectId(1), ObjectId(2)];
+    wish(&mut session, "ann", 1, Action::Grab(first)).unwrap();
+    // The group of the next drag, and what was put after it, come before the end of the first.
+    wish(&mut session, "ann", 6, put.clone()).unwrap();
+    wish(&mut session, "ann", 4, Action::Grab(second)).unwrap();
+    wish(&mut session, "ann", 5, Action::Release(second, Motion::STILL)).unwrap();
+    wish(&mut session, "ann", 3, Action::Release(first, Motion::STILL)).unwrap();
+    assert!(session.holders.is_empty(), "a release that came late holds nothing");
+    wish(&mut session, "ann", 2, put.clone()).unwrap();
+    assert_eq!(session.objects.len(), 4);
+    for (sequence, old) in [(6, put.clone()), (2, put.clone()), (3, Action::Grab(first)), (4, Action::Release(second, Motion::STILL))] {
+        assert_eq!(wish(&mut session, "ann", sequence, old), Err(Refusal::Stale));
+    }
+    // What is older than all that can be told apart is old.
+    for sequence in 10..200 {
+        session.users.granted("ann", &Intent { sequence, action: put.clone() });
+    }
+    assert_eq!(wish(&mut session, "ann", 7, put), Err(Refusal::Stale));
+}
+
+#[test]
+fn what_nobody_says_to_be_held_any_more_is_let_go_of() {
+    let mut session = session();
+    let ticks = HOLD_LOST_US / STEP_US;
+    wish(&mut session, "ann", 1, Action::Grab(ObjectId(1))).unwrap();
+    (0..ticks - 1).for_each(|_| drop(session.tick()));
+    wish(&mut session, "ann", 2, Action::Grab(ObjectId(1))).unwrap();
+    (0..ticks).for_each(|_| drop(session.tick()));
+    assert!(session.holders.contains_key(&ObjectId(1)), "it was said again");
+    (0..2).for_each(|_| drop(session.tick()));
+    assert!(session.holders.is_empty());
+    (0..10).for_each(|_| drop(session.tick()));
+    assert!(session.scene().objects[0].transform.position.y < 2.0, "it falls");
+}
+
 #[test]
 fn where_more_moves_than_a_delta_holds_all_have_their_turn() {
     let mut session = cubes(2 * MAX_CHANGES as u32 + 10);
-    for id in 1..=2 * MAX_CHANGES as u64 + 10 {
-        wish(&mut session, "ann", id, Action::Grab(ObjectId(id as u32))).unwrap();
-    }
+    let user = |id: u64| format!("user{}", id / MAX_HELD as u64);
     let mut seen = BTreeSet::new();
     for turn in 0..3u64 {
         for id in 1..=2 * MAX_CHANGES as u64 + 10 {
             let up = Transform { position: Vec3::new(0.0, turn as f32, -(id as f32)), ..Transform::default() };
-            wish(&mut session, "ann", 10_000 * (turn + 1) + id, Action::Move(ObjectId(id as u32), up)).unwrap();
+            wish(&mut session, &user(id), 1 + turn, Action::Move(ObjectId(id as u32), up)).unwrap();
         }
         let changes = session.tick().unwrap();
         assert_eq!(changes.len(), MAX_CHANGES);

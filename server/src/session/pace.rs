@@ -1,0 +1,56 @@
+//! When steps are due.
+
+use std::time::{Duration, Instant};
+
+use crate::physics::STEP_S;
+
+/// So many steps at most are made up for at once; of a longer halt the time is lost, and everything is later by it.
+const MAX_STEPS: u32 = 4;
+
+/// An even pace of [`STEP_S`].
+pub(super) struct Pace {
+    next: Instant,
+}
+
+impl Pace {
+    pub(super) fn start(now: Instant) -> Self {
+        Self { next: now }
+    }
+
+    /// How long ago the steps were due that are to be made now, oldest first: what falls keeps its pace where this is asked late.
+    pub(super) fn due(&mut self, now: Instant) -> Vec<Duration> {
+        let step = Duration::from_secs_f32(STEP_S);
+        let mut due = Vec::new();
+        while self.next <= now && due.len() < MAX_STEPS as usize {
+            due.push(now - self.next);
+            self.next += step;
+        }
+        if self.next <= now {
+            self.next = now + step;
+        }
+        due
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_are_made_up_for_and_long_halts_are_not() {
+        let begin = Instant::now();
+        let step = Duration::from_secs_f32(STEP_S);
+        let mut pace = Pace::start(begin);
+        assert_eq!(pace.due(begin), [Duration::ZERO]);
+        assert!(pace.due(begin + step / 2).is_empty());
+        // Two steps and a half later: both are made, each for its own time.
+        assert_eq!(pace.due(begin + step * 5 / 2), [step * 3 / 2, step / 2]);
+        let made: usize = (3..63).map(|n| pace.due(begin + step * n + step / 3).len()).sum();
+        assert_eq!(made, 60, "a second has as many steps, however late each is");
+        // A halt of a minute.
+        let late = begin + Duration::from_secs(60);
+        assert_eq!(pace.due(late).len(), MAX_STEPS as usize);
+        assert!(pace.due(late + step / 2).is_empty());
+        assert_eq!(pace.due(late + step), [Duration::ZERO]);
+    }
+}
