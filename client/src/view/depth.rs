@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use mr360_shaders::source::Module;
 
 use super::pipelines::{DEPTH_FORMAT, Layouts};
-use super::resources::{Layer, VIEW_STRIDE};
+use super::resources::VIEW_STRIDE;
 use super::{Renderer, depth_attachment};
 use crate::environment::texture_entry;
 use crate::gpu::{Gpu, GpuError};
@@ -44,8 +44,10 @@ impl Renderer {
             None => DepthPass::new(gpu)?,
         };
         for (at, target) in targets.iter().enumerate() {
-            let layer = self.layers.get(at).filter(|_| self.keeps_depth && self.drawn.get(at).copied().unwrap_or(false));
-            let group = layer.map(|(_, layer)| group(gpu, layer, self.samples));
+            // Layers of both eyes are in one.
+            let (layer, view) = if self.together { (self.layers.first(), at as u32) } else { (self.layers.get(at), 0) };
+            let layer = layer.filter(|_| self.keeps_depth && self.drawn.get(at).copied().unwrap_or(false));
+            let group = layer.map(|(_, layer)| group(gpu, &layer.depth_of(view), self.samples));
             let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
                 label: Some("depth"),
                 depth_stencil_attachment: Some(depth_attachment(target, 0.0, wgpu::StoreOp::Store)),
@@ -74,8 +76,8 @@ fn layout(gpu: &Gpu, samples: u32) -> wgpu::BindGroupLayout {
     gpu.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some("depth"), entries: &entries })
 }
 
-fn group(gpu: &Gpu, layer: &Layer, samples: u32) -> wgpu::BindGroup {
-    let entries = [wgpu::BindGroupEntry { binding: u32::from(samples == 1), resource: wgpu::BindingResource::TextureView(&layer.depth) }];
+fn group(gpu: &Gpu, depth: &wgpu::TextureView, samples: u32) -> wgpu::BindGroup {
+    let entries = [wgpu::BindGroupEntry { binding: u32::from(samples == 1), resource: wgpu::BindingResource::TextureView(depth) }];
     gpu.device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some("depth"), layout: &layout(gpu, samples), entries: &entries })
 }
 

@@ -6,6 +6,7 @@ use super::extent::Part;
 use super::glass::is_glass;
 use super::pipelines::{Kind, Use};
 use super::plan::Plan;
+use super::recipe::multiview_mask;
 use super::resources::{Layer, VIEW_STRIDE};
 use super::room::Room;
 use super::{COMPOSITE, FrameReport, OBJECTS, Renderer, View, depth_attachment, draw_part, look_into, object_use, stage};
@@ -14,9 +15,9 @@ use crate::gpu::Gpu;
 
 impl Renderer {
     /// The layer's targets, kept while they hold the part and are not far too large for it.
-    pub(super) fn make_layer(&mut self, gpu: &Gpu, at: usize, (part, image): (Part, (u32, u32)), plan: Plan) {
+    pub(super) fn make_layer(&mut self, gpu: &Gpu, (at, views): (usize, u32), (part, image): (Part, (u32, u32)), plan: Plan) {
         let (glass, mirror) = (plan.glass, plan.ground_mirrors);
-        let make = |room: &Room| Layer::new(&gpu.device, &self.layouts, room.size(), self.samples, (glass, mirror));
+        let make = |room: &Room| Layer::new(&gpu.device, &self.layouts, (room.size(), views), self.samples, (glass, mirror));
         // Views before this one may have had nothing to draw.
         while self.layers.len() <= at {
             let mut room = Room::default();
@@ -24,7 +25,10 @@ impl Renderer {
             self.layers.push((room, make(&room)));
         }
         if let Some((room, layer)) = self.layers.get_mut(at)
-            && (room.make(part.size, image) || layer.glass.is_some() != glass || layer.mirror.is_some() != mirror)
+            && (room.make(part.size, image)
+                || layer.views != views
+                || layer.glass.is_some() != glass
+                || layer.mirror.is_some() != mirror)
         {
             *layer = make(room);
         }
@@ -60,6 +64,7 @@ impl Renderer {
             })],
             depth_stencil_attachment: Some(depth_attachment(&layer.depth, 0.0, depth_store)),
             timestamp_writes: self.timer.pass(OBJECTS[at]),
+            multiview_mask: multiview_mask(kind.views),
             ..wgpu::RenderPassDescriptor::default()
         });
         look_into(&mut pass, view, part);
@@ -89,7 +94,7 @@ impl Renderer {
             }
         }
         // Over all that covers, ground too, which writes what is changed and not what is added to it.
-        for draw in self.stage.blended(view.camera.position).0.into_iter().filter(|_| objects) {
+        for draw in self.stage.blended(self.between).0.into_iter().filter(|_| objects) {
             report.draws += self.draw_object(&mut pass, kind, draw);
         }
     }
@@ -123,6 +128,7 @@ impl Renderer {
                 ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::BLACK), store: wgpu::StoreOp::Store },
             })],
             timestamp_writes: self.timer.pass(COMPOSITE[at]),
+            multiview_mask: multiview_mask(kind.views),
             ..wgpu::RenderPassDescriptor::default()
         });
         let layer = self.layers.get(at).filter(|_| drawn).map_or(&self.resources.no_layer, |(_, layer)| &layer.group);

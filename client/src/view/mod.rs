@@ -31,6 +31,7 @@ mod models;
 mod moving;
 #[cfg(test)]
 mod moving_tests;
+mod multiview;
 pub mod parallax;
 #[cfg(test)]
 mod parallax_tests;
@@ -162,6 +163,15 @@ pub struct FrameReport {
     pub triangles: u64,
 }
 
+/// What all views of a frame show.
+struct Shown {
+    /// Of the background's dome, where it has one.
+    dome_m: Option<f32>,
+    /// What objects can change of ground and place.
+    ground: Option<Bounds>,
+    changed_place: Vec<Bounds>,
+}
+
 /// Draws the shared scene into the video.
 pub struct Renderer {
     layouts: Layouts,
@@ -184,8 +194,12 @@ pub struct Renderer {
     fine: bool,
     /// Of the picture: when its animations are.
     time_us: u64,
-    /// By view.
+    /// By view, or one of both eyes.
     layers: Vec<(Room, Layer)>,
+    /// Both eyes were drawn by one pass.
+    together: bool,
+    /// The middle of the views of a frame: what is blended has one order in all of them.
+    between: Vec3,
     /// By view, whether anything was drawn in the last frame.
     drawn: Vec<bool>,
     keeps_depth: bool,
@@ -232,6 +246,8 @@ impl Renderer {
             fine: Resampling::default().is_fine(gpu),
             time_us: 0,
             layers: Vec::new(),
+            together: false,
+            between: Vec3::ZERO,
             drawn: Vec::new(),
             keeps_depth: false,
             depth: None,
@@ -355,8 +371,21 @@ impl Renderer {
         environment: &mut Environment,
         views: &[View<'_>],
     ) -> FrameReport {
+        self.record(gpu, encoder, environment, views.get(..MAX_VIEWS).unwrap_or(views), None)
+    }
+
+    /// `both` is where two views are drawn to by one pass.
+    fn record(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        environment: &mut Environment,
+        views: &[View<'_>],
+        both: Option<&wgpu::TextureView>,
+    ) -> FrameReport {
         self.timer.collect(gpu);
-        let views = views.get(..MAX_VIEWS).unwrap_or(views);
+        self.together = both.is_some();
+        self.between = views.iter().map(|view| view.camera.position).sum::<Vec3>() / views.len().max(1) as f32;
         let plan = self.plan(self.tier);
         self.casting.keep(self.current.lights.get(..plan.shadows).unwrap_or_default());
         if std::mem::take(&mut self.light_changed) {
@@ -389,6 +418,7 @@ impl Renderer {
             video: environment.kind(),
             sh_count: self.current.sh_count,
             samples,
+            views: if both.is_some() { views.len() as u32 } else { 1 },
             reflections: self.reflections,
             place,
             parallax: dome_m.is_some(),
@@ -402,44 +432,78 @@ impl Renderer {
             self.layers.clear();
         }
         self.drawn.clear();
-        for (at, view) in views.iter().enumerate() {
-            self.draw_view(gpu, (&mut *encoder, &*environment), kind, (at, view, dome_m), (ground, &changed_place), &mut report);
+        let shown = Shown { dome_m, ground, changed_place };
+        match both {
+            Some(target) => self.draw_both(gpu, (encoder, environment), kind, (views, target), &shown, &mut report),
+            None => {
+                for (at, view) in views.iter().enumerate() {
+                    self.draw_view(gpu, (&mut *encoder, &*environment), kind, (at, view), &shown, &mut report);
+                }
+            }
         }
         self.timer.finish(encoder);
         report.passes = self.timer.latest().to_vec();
         report
     }
 
-    /// Layers and composite of one view. `ground` and `changed_place` are what of ground and place objects can change.
+    /// Layers and composite of one view.
     fn draw_view(
         &mut self,
         gpu: &Gpu,
         (encoder, environment): (&mut wgpu::CommandEncoder, &Environment),
         kind: Kind,
-        (at, view, dome_m): (usize, &View<'_>, Option<f32>),
-        (ground, changed_place): (Option<Bounds>, &[Bounds]),
+        (at, view): (usize, &View<'_>),
+        shown: &Shown,
+        report: &mut FrameReport,
+    ) {
+        let part = self.part(view, kind, report.plan, shown);
+        self.write_view(gpu, environment, (at, view), part, shown);
+        self.draw_recorded(gpu, (encoder, environment), kind, (at, view, part), shown, report);
+    }
+
+    /// What of a view is in its layer.
+    fn part(&self, view: &View<'_>, kind: Kind, plan: Plan, shown: &Shown) -> Option<Part> {
+        match kind.place && kind.parallax {
+            // All of it, so that pixels lie in it as they do without objects.
+            true => Some(Part { origin: (0, 0), size: view.size }),
+            false if plan.objects => touched(&view.camera, view.size, &self.stage, (self.ground_seen(view, shown), &shown.changed_place)),
+            false => None,
+        }
+    }
+
+    /// From beneath there is no ground to see.
+    fn ground_seen(&self, view: &View<'_>, shown: &Shown) -> Option<Bounds> {
+        shown.ground.filter(|_| view.camera.position.y > self.stage.ground_y)
+    }
+
+    fn write_view(&self, gpu: &Gpu, environment: &Environment, (at, view): (usize, &View<'_>), part: Option<Part>, shown: &Shown) {
+        let rays = if self.fine { rays(environment.texels(pixel_rad(view))) } else { 1 };
+        let background = Background { dome_m: shown.dome_m.unwrap_or_default(), rays };
+        self.resources.write_view(gpu, at, (view, background), part.unwrap_or_default());
+    }
+
+    /// Layers and composite of a view, or of two by one pass, whose uniforms have been written from `at` on.
+    fn draw_recorded(
+        &mut self,
+        gpu: &Gpu,
+        (encoder, environment): (&mut wgpu::CommandEncoder, &Environment),
+        kind: Kind,
+        (at, view, part): (usize, &View<'_>, Option<Part>),
+        shown: &Shown,
         report: &mut FrameReport,
     ) {
         let plan = report.plan;
-        // From beneath there is no ground to see.
-        let ground = ground.filter(|_| view.camera.position.y > self.stage.ground_y);
-        let part = match kind.place && kind.parallax {
-            // All of it, so that pixels lie in it as they do without objects.
-            true => Some(Part { origin: (0, 0), size: view.size }),
-            false if plan.objects => touched(&view.camera, view.size, &self.stage, (ground, changed_place)),
-            false => None,
-        };
-        let background =
-            Background { dome_m: dome_m.unwrap_or_default(), rays: if self.fine { rays(environment.texels(pixel_rad(view))) } else { 1 } };
-        self.resources.write_view(gpu, at, (view, background), part.unwrap_or_default());
+        let ground = self.ground_seen(view, shown).is_some();
         self.drawn.push(part.is_some());
         if let Some(part) = part {
-            self.make_layer(gpu, at, (part, view.size), plan);
-            if plan.ground_mirrors && ground.is_some() {
-                self.resources.write_mirrored_view(gpu, at, view, part, self.stage.ground_y);
+            self.make_layer(gpu, (at, kind.views), (part, view.size), plan);
+            if plan.ground_mirrors && ground {
+                if kind.views == 1 {
+                    self.resources.write_mirrored_view(gpu, at, view, part, self.stage.ground_y);
+                }
                 self.draw_mirror(encoder, environment, kind, (at, view, part), report);
             }
-            self.draw_layer(encoder, environment, kind, (at, view, part), ground.is_some(), report);
+            self.draw_layer(encoder, environment, kind, (at, view, part), ground, report);
             if plan.glass {
                 self.draw_glass(gpu, encoder, environment, kind, (at, view, part), report);
             }
