@@ -52,6 +52,8 @@ pub enum FrameError {
 pub struct Target {
     /// A colour attachment.
     pub view: wgpu::TextureView,
+    /// Both eyes' together, where they are layers of one texture.
+    pub both: Option<wgpu::TextureView>,
     /// Its format.
     pub format: wgpu::TextureFormat,
     /// A depth attachment of [`DEPTH_FORMAT`](crate::view::DEPTH_FORMAT) and the same size, where whoever presents asks for depth: 1 at [`Camera::NEAR_M`], 0 at infinity.

@@ -56,8 +56,7 @@ pub struct Gpu {
 const READ_BACK_BYTES: u64 = 64 * 1024 * 1024;
 
 /// Features that are used where the device has them.
-const WANTED: wgpu::Features =
-    wgpu::Features::TIMESTAMP_QUERY.union(wgpu::Features::TEXTURE_FORMAT_16BIT_NORM).union(MULTIVIEW);
+const WANTED: wgpu::Features = wgpu::Features::TIMESTAMP_QUERY.union(wgpu::Features::TEXTURE_FORMAT_16BIT_NORM).union(MULTIVIEW);
 
 /// What a pass of both eyes needs.
 pub(crate) const MULTIVIEW: wgpu::Features = wgpu::Features::MULTIVIEW.union(wgpu::Features::MULTISAMPLE_ARRAY);

@@ -100,9 +100,7 @@ mod tests {
         let source = Module::Composite.multiview_source().unwrap();
         let parsed = naga::front::wgsl::parse_str(&source).unwrap();
         let stride = parsed.types.iter().find_map(|(_, ty)| match &ty.inner {
-            naga::TypeInner::Array { base, stride, .. } => {
-                (parsed.types[*base].name.as_deref() == Some("ViewSlot")).then_some(*stride)
-            }
+            naga::TypeInner::Array { base, stride, .. } => (parsed.types[*base].name.as_deref() == Some("ViewSlot")).then_some(*stride),
             _ => None,
         });
         assert_eq!(stride, Some(VIEW_STRIDE));
@@ -115,7 +113,10 @@ mod tests {
         assert_eq!(look_up(text), "let a = views[view_at].own.x + probe.view.z + review.y - (views[view_at].own.w);");
         let entry = "@fragment\nfn fs(\n    in: A,\n) -> B {\n    return f();\n}\nfn f() -> B {\n}\n";
         let told = told_view(entry);
-        assert!(told.starts_with("@fragment\nfn fs(@builtin(view_index) view_index: u32, \n    in: A,\n) -> B {\n    view_at = view_index;\n"), "{told}");
+        assert!(
+            told.starts_with("@fragment\nfn fs(@builtin(view_index) view_index: u32, \n    in: A,\n) -> B {\n    view_at = view_index;\n"),
+            "{told}"
+        );
         assert_eq!(told.matches("view_at").count(), 1);
     }
 }

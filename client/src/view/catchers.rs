@@ -37,7 +37,11 @@ impl Pipelines {
         match what {
             Use::Place { glossy: false } => {
                 let fragment = Some(("fs_place", Some(LAYER_FORMAT)));
-                build(gpu, &self.drawn(kind).ground, &Recipe { label: "place", vertex: "vs_place", fragment, mesh: true, cull: None, ..ground })
+                build(
+                    gpu,
+                    &self.drawn(kind).ground,
+                    &Recipe { label: "place", vertex: "vs_place", fragment, mesh: true, cull: None, ..ground },
+                )
             }
             Use::Place { glossy: true } => {
                 let recipe = Recipe {
@@ -81,7 +85,11 @@ impl Pipelines {
                 // It lies in the ground's own plane, and gives way to it too.
                 let farther = wgpu::DepthBiasState { constant: -32, slope_scale: -4.0, clamp: 0.0 };
                 let depth = Some(depth(wgpu::CompareFunction::Greater, farther));
-                build(gpu, &self.drawn(kind).ground, &Recipe { label: "horizon", vertex: "vs_horizon", fragment, depth, constants: &[], ..ground })
+                build(
+                    gpu,
+                    &self.drawn(kind).ground,
+                    &Recipe { label: "horizon", vertex: "vs_horizon", fragment, depth, constants: &[], ..ground },
+                )
             }
             _ => build(gpu, &self.drawn(kind).ground, &ground),
         }

@@ -69,7 +69,6 @@ use crate::camera::Camera;
 use crate::environment::{Environment, FrameLight};
 use crate::governor::Tier;
 use crate::gpu::{Gpu, GpuError};
-use crate::scene::mesh::Bounds;
 use crate::scene::model::LoadedModel;
 use crate::scene::pick::{Ray, Target, nearest, nearest_to};
 use crate::stats::PassTime;
@@ -81,10 +80,11 @@ pub use pipelines::DEPTH_FORMAT;
 pub use plan::Plan;
 pub use stage::{Element, ModelFault, SceneWarning};
 
-use background::{Background, pixel_rad, rays};
+use background::pixel_rad;
 use depth::DepthPass;
-use extent::{Part, touched};
+use extent::Part;
 use glass::is_glass;
+use layering::Shown;
 use mirror::mirrored_use;
 use models::Models;
 use pipelines::{Kind, Layouts, Pipelines, Use};
@@ -161,15 +161,6 @@ pub struct FrameReport {
     pub draws: u32,
     /// Triangles of objects, all views and shadow maps together.
     pub triangles: u64,
-}
-
-/// What all views of a frame show.
-struct Shown {
-    /// Of the background's dome, where it has one.
-    dome_m: Option<f32>,
-    /// What objects can change of ground and place.
-    ground: Option<Bounds>,
-    changed_place: Vec<Bounds>,
 }
 
 /// Draws the shared scene into the video.
@@ -444,71 +435,6 @@ impl Renderer {
         self.timer.finish(encoder);
         report.passes = self.timer.latest().to_vec();
         report
-    }
-
-    /// Layers and composite of one view.
-    fn draw_view(
-        &mut self,
-        gpu: &Gpu,
-        (encoder, environment): (&mut wgpu::CommandEncoder, &Environment),
-        kind: Kind,
-        (at, view): (usize, &View<'_>),
-        shown: &Shown,
-        report: &mut FrameReport,
-    ) {
-        let part = self.part(view, kind, report.plan, shown);
-        self.write_view(gpu, environment, (at, view), part, shown);
-        self.draw_recorded(gpu, (encoder, environment), kind, (at, view, part), shown, report);
-    }
-
-    /// What of a view is in its layer.
-    fn part(&self, view: &View<'_>, kind: Kind, plan: Plan, shown: &Shown) -> Option<Part> {
-        match kind.place && kind.parallax {
-            // All of it, so that pixels lie in it as they do without objects.
-            true => Some(Part { origin: (0, 0), size: view.size }),
-            false if plan.objects => touched(&view.camera, view.size, &self.stage, (self.ground_seen(view, shown), &shown.changed_place)),
-            false => None,
-        }
-    }
-
-    /// From beneath there is no ground to see.
-    fn ground_seen(&self, view: &View<'_>, shown: &Shown) -> Option<Bounds> {
-        shown.ground.filter(|_| view.camera.position.y > self.stage.ground_y)
-    }
-
-    fn write_view(&self, gpu: &Gpu, environment: &Environment, (at, view): (usize, &View<'_>), part: Option<Part>, shown: &Shown) {
-        let rays = if self.fine { rays(environment.texels(pixel_rad(view))) } else { 1 };
-        let background = Background { dome_m: shown.dome_m.unwrap_or_default(), rays };
-        self.resources.write_view(gpu, at, (view, background), part.unwrap_or_default());
-    }
-
-    /// Layers and composite of a view, or of two by one pass, whose uniforms have been written from `at` on.
-    fn draw_recorded(
-        &mut self,
-        gpu: &Gpu,
-        (encoder, environment): (&mut wgpu::CommandEncoder, &Environment),
-        kind: Kind,
-        (at, view, part): (usize, &View<'_>, Option<Part>),
-        shown: &Shown,
-        report: &mut FrameReport,
-    ) {
-        let plan = report.plan;
-        let ground = self.ground_seen(view, shown).is_some();
-        self.drawn.push(part.is_some());
-        if let Some(part) = part {
-            self.make_layer(gpu, (at, kind.views), (part, view.size), plan);
-            if plan.ground_mirrors && ground {
-                if kind.views == 1 {
-                    self.resources.write_mirrored_view(gpu, at, view, part, self.stage.ground_y);
-                }
-                self.draw_mirror(encoder, environment, kind, (at, view, part), report);
-            }
-            self.draw_layer(encoder, environment, kind, (at, view, part), ground, report);
-            if plan.glass {
-                self.draw_glass(gpu, encoder, environment, kind, (at, view, part), report);
-            }
-        }
-        self.composite(encoder, environment, kind, (at, view), part.is_some(), report);
     }
 
     /// Makes what pipelines this frame needs and earlier ones did not.

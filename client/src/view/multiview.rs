@@ -1,10 +1,11 @@
 //! Both eyes by one pass, where the GPU draws two layers at once (Vulkan's multiview): half the draw calls and passes of the way view by
 //! view, with the same picture.
 
+use super::layering::Shown;
 use super::pipelines::{DEPTH_FORMAT, Kind, LAYER_FORMAT};
 use super::recipe::{Recipe, build, multiview_mask, nearer};
 use super::resources::{texture, texture_view};
-use super::{FrameReport, Renderer, Shown, View, depth_attachment};
+use super::{FrameReport, Renderer, View, depth_attachment};
 use crate::camera::Camera;
 use crate::environment::Environment;
 use crate::gpu::{self, Gpu, GpuError};

@@ -256,9 +256,10 @@ impl<'a> Headset<'a> {
         let shot = |(at, camera): (usize, &Camera)| Shot {
             camera: *camera,
             target: Target {
-                view: targets[at].clone(),
+                view: targets.each[at].clone(),
+                both: Some(targets.both.clone()),
                 format: self.colour.format,
-                depth: depths.map(|depths| depths[at].clone()),
+                depth: depths.map(|depths| depths.each[at].clone()),
                 width,
                 height,
             },
