@@ -239,6 +239,24 @@ pub(crate) fn block_on<T>(future: impl Future<Output = T>) -> T {
     }
 }
 
+/// A texture that holds these texels of 4 bytes, layer after layer, to be read back.
+#[cfg(test)]
+pub(crate) fn texture_of(gpu: &Gpu, size: wgpu::Extent3d, format: wgpu::TextureFormat, texels: &[u8]) -> wgpu::Texture {
+    let texture = gpu.device.create_texture(&wgpu::TextureDescriptor {
+        label: None,
+        size,
+        mip_level_count: 1,
+        sample_count: 1,
+        dimension: wgpu::TextureDimension::D2,
+        format,
+        usage: wgpu::TextureUsages::COPY_DST | wgpu::TextureUsages::COPY_SRC | wgpu::TextureUsages::RENDER_ATTACHMENT,
+        view_formats: &[],
+    });
+    let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(4 * size.width), rows_per_image: Some(size.height) };
+    gpu.queue.write_texture(texture.as_image_copy(), texels, layout, size);
+    texture
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -246,23 +264,23 @@ mod tests {
     #[test]
     fn bands_of_any_height_give_the_whole_texture() {
         let gpu = Gpu::headless().unwrap();
-        let size = wgpu::Extent3d { width: 5, height: 7, depth_or_array_layers: 1 };
-        let texture = gpu.device.create_texture(&wgpu::TextureDescriptor {
-            label: None,
-            size,
-            mip_level_count: 1,
-            sample_count: 1,
-            dimension: wgpu::TextureDimension::D2,
-            format: wgpu::TextureFormat::Rgba8Unorm,
-            usage: wgpu::TextureUsages::COPY_DST | wgpu::TextureUsages::COPY_SRC,
-            view_formats: &[],
-        });
-        let texels: Vec<u8> = (0..5 * 7 * 4).collect();
-        let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(20), rows_per_image: None };
-        gpu.queue.write_texture(texture.as_image_copy(), &texels, layout, size);
+        let size = wgpu::Extent3d { width: 5, height: 7, depth_or_array_layers: 2 };
+        let texels: Vec<u8> = (0..2 * 5 * 7 * 4).map(|at| (at % 251) as u8).collect();
+        let texture = texture_of(&gpu, size, wgpu::TextureFormat::Rgba8Unorm, &texels);
         // A row takes 256 bytes in a buffer: one row, two, all seven at a time.
         for band_bytes in [1, 600, 1 << 20] {
-            assert_eq!(gpu.read_bands(&texture, 0, band_bytes).unwrap(), texels, "{band_bytes}");
+            for (layer, texels) in (0..).zip(texels.chunks(5 * 7 * 4)) {
+                assert_eq!(gpu.read_bands(&texture, layer, band_bytes).unwrap(), texels, "{band_bytes}");
+            }
         }
+    }
+
+    #[test]
+    fn a_device_that_is_gone_is_known_to_be() {
+        let gpu = Gpu::headless().unwrap();
+        assert!(!gpu.lost() && gpu.wait().is_ok());
+        gpu.device.destroy();
+        // Told by the next look at the device.
+        assert!(matches!(gpu.wait(), Err(GpuError::Lost(_))) && gpu.lost());
     }
 }

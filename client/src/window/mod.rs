@@ -85,7 +85,8 @@ pub enum WindowError {
 pub type Open<'a, S> = dyn FnMut(Arc<Window>) -> Result<WindowGraphics<S>, BoxError> + 'a;
 
 /// Shows a window until the user closes it, an end of `options` is reached, or the stream ends; then returns the frames presented.
-/// Call it on the main thread, and once in a program: the window systems ask for both. `act` must not block.
+/// Call it on the main thread, and once in a program: the window systems ask for both. `act` must not block; `events` is the program's event loop,
+/// if it has one already.
 ///
 /// # Errors
 /// [`WindowError::NoDisplay`] before anything was shown; everything else ends a window that was open.
@@ -94,9 +95,9 @@ pub fn run<S: Stage>(
     options: &WindowOptions,
     open: &mut Open<'_, S>,
     act: &mut dyn FnMut(Action),
+    events: Option<EventLoop<()>>,
 ) -> Result<u64, WindowError> {
-    require_display(|name| std::env::var_os(name))?;
-    let event_loop = EventLoop::new().map_err(|error| WindowError::NoDisplay { detail: error.to_string() })?;
+    let event_loop = events.map_or_else(event_loop, Ok)?;
     let first_frame = frames.frames();
     let mut app = App {
         frames,
@@ -116,6 +117,12 @@ pub fn run<S: Stage>(
     outcome?;
     ran.map_err(|error| WindowError::System { detail: error.to_string() })?;
     Ok(frames.frames() - first_frame)
+}
+
+/// What windows live in. A program makes one.
+pub(crate) fn event_loop() -> Result<EventLoop<()>, WindowError> {
+    require_display(|name| std::env::var_os(name))?;
+    EventLoop::new().map_err(|error| WindowError::NoDisplay { detail: error.to_string() })
 }
 
 /// Says what is missing more clearly than the window system does. `variable` reads the environment.
