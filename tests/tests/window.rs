@@ -97,7 +97,7 @@ fn off(shown: &RgbImage, picture: &RgbImage) -> f64 {
     let (left, top) = (cut(SIZE.0, picture.width()), cut(SIZE.1, picture.height()));
     let mut sum = 0.0;
     for (x, y, pixel) in shown.enumerate_pixels() {
-        let at = |place: u32, cut: f64, of: u32| ((((f64::from(place) + 0.5 + cut) / scale) as u32).min(of - 1));
+        let at = |place: u32, cut: f64, of: u32| (((f64::from(place) + 0.5 + cut) / scale) as u32).min(of - 1);
         let seen = picture.get_pixel(at(x, left, picture.width()), at(y, top, picture.height()));
         sum += f64::from(pixel.0[1].abs_diff(seen.0[1]));
     }

@@ -189,6 +189,8 @@ pub struct Renderer {
     layers: Vec<(Room, Layer)>,
     /// Both eyes were drawn by one pass.
     together: bool,
+    /// The background of the last frame had a distance.
+    backed: bool,
     /// The middle of the views of a frame: what is blended has one order in all of them.
     between: Vec3,
     /// By view, whether anything was drawn in the last frame.
@@ -238,6 +240,7 @@ impl Renderer {
             time_us: 0,
             layers: Vec::new(),
             together: false,
+            backed: false,
             between: Vec3::ZERO,
             drawn: Vec::new(),
             keeps_depth: false,
@@ -401,6 +404,7 @@ impl Renderer {
         let mut report = FrameReport { plan, ..FrameReport::default() };
         self.pose(gpu, encoder, plan, views);
         let dome_m = self.parallax.dome_m(environment.is_stereo(), views.iter().map(|view| view.camera.position));
+        self.backed = dome_m.is_some();
         let place = !self.stage.place.draws.is_empty();
         // Then the place is drawn whether or not there are objects, and in the same way.
         let place_shows = dome_m.is_some() && place;

@@ -137,6 +137,8 @@ fn require_display(variable: impl Fn(&str) -> Option<OsString>) -> Result<(), Wi
 /// An open window.
 struct Shown<S> {
     window: Arc<Window>,
+    /// The window's.
+    title: String,
     presenter: SurfacePresenter,
     stage: S,
 }
@@ -162,7 +164,8 @@ impl<S: Stage> App<'_, S> {
         let size = window.inner_size();
         let (presenter, stage) = SurfacePresenter::new(graphics, size.width, size.height)?;
         self.controls.resized(size.width, size.height);
-        self.shown = Some(Shown { window, presenter, stage });
+        let title = String::new();
+        self.shown = Some(Shown { window, title, presenter, stage });
         Ok(())
     }
 
@@ -200,6 +203,14 @@ impl<S: Stage> App<'_, S> {
         if let Some(shown) = &mut self.shown {
             actions.iter().for_each(|action| shown.stage.predict(action, now));
             shown.stage.show_local(&self.controls.drawn(&shown.stage));
+            let title = self
+                .controls
+                .in_hand(&shown.stage)
+                .map_or_else(|| self.options.title.clone(), |item| format!("{item} in hand: click puts it, Esc puts it away"));
+            if shown.title != title {
+                shown.window.set_title(&title);
+                shown.title = title;
+            }
         }
         actions.into_iter().for_each(|action| (self.act)(action));
     }

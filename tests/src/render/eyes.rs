@@ -6,7 +6,7 @@ use std::path::Path;
 use anyhow::{Context, Result, ensure};
 
 use super::Options;
-use super::growth::{BASE, Shown, gradient, light_of, scene_of};
+use super::growth::{gradient, light_of, scene_of, with_objects};
 use super::programs::{View, finish, load_passes, render_by};
 use crate::chart::{Axis, Chart, Mark, Scale, Series, number};
 use crate::figures::save;
@@ -58,7 +58,7 @@ pub(super) fn run(options: &Options) -> Result<String> {
 
 fn time(sandbox: &Sandbox, runtime: &XrRuntime, panorama: &Path, objects: usize, way: &str) -> Result<(f64, f64)> {
     let (scene, light) = (sandbox.path("SCENE.toml"), sandbox.path("light.json"));
-    std::fs::write(&scene, scene_of(Shown { objects, ..BASE }))?;
+    std::fs::write(&scene, scene_of(with_objects(objects)))?;
     std::fs::write(&light, light_of(1))?;
     let view = View { size: SIZE, fov_y_deg: 45.0, pitch_deg: -14.0 };
     let (out, passes, frames) = (sandbox.path("picture.png"), sandbox.path("passes.csv"), sandbox.path("frames.csv"));

@@ -19,7 +19,7 @@ use crate::table::Table;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Shown {
     lights: usize,
-    pub(super) objects: usize,
+    objects: usize,
     /// Of one model, in place of the objects; 0 for none.
     triangles: usize,
     roughness: f64,
@@ -29,13 +29,18 @@ pub(super) struct Shown {
 }
 
 /// What all sweeps start from.
-pub(super) const BASE: Shown = Shown { lights: 1, objects: 20, triangles: 0, roughness: 0.3, size: (640, 360), views: 1 };
+const BASE: Shown = Shown { lights: 1, objects: 20, triangles: 0, roughness: 0.3, size: (640, 360), views: 1 };
 
 /// One thing varied.
 struct Sweep {
     name: &'static str,
     scale: Scale,
     steps: Vec<(f64, Shown)>,
+}
+
+/// The same with so many objects.
+pub(super) fn with_objects(objects: usize) -> Shown {
+    Shown { objects, ..BASE }
 }
 
 /// Times of a sweep.

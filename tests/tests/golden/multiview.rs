@@ -115,17 +115,18 @@ fn cases(linear: &Picture, scene: &Scene, models: &mut Models) -> Result<Vec<Cas
     }
     let glossy = Scene { ground: polished, place: vec![mesh(polished)], ..sunk.clone() };
     let matt = Scene { place: vec![mesh(Gloss::MATT)], ..scene.clone() };
-    let still = |picture: &Picture| Picture { pts_us: materials::TIME_US, ..picture.clone() };
+    let still = |picture: Picture| Picture { pts_us: materials::TIME_US, ..picture };
+    let again = || -> Result<Picture> { Ok(panorama("esplanade")?.0) };
     Ok(vec![
-        Case { name: "matt ground", picture: still(linear), scene: sunk, tier: Tier::FULL },
-        Case { name: "glossy ground and place", picture: still(linear), scene: glossy, tier: Tier::FULL },
+        Case { name: "matt ground", picture: still(again()?), scene: sunk, tier: Tier::FULL },
+        Case { name: "glossy ground and place", picture: still(again()?), scene: glossy, tier: Tier::FULL },
         Case {
             name: "place before coded video",
-            picture: still(&video::coded(linear, video::COLOURS[0].1)?),
+            picture: still(video::coded(linear, video::COLOURS[0].1)?),
             scene: matt,
             tier: Tier::FULL,
         },
-        Case { name: "stereo video, lowest tier", picture: still(&video::top_bottom(linear)?), scene: scene.clone(), tier: Tier::LOWEST },
+        Case { name: "stereo video, lowest tier", picture: still(video::top_bottom(linear)?), scene: scene.clone(), tier: Tier::LOWEST },
     ])
 }
 
