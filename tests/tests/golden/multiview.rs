@@ -2,6 +2,7 @@
 //! tests does, so the test runs itself once more on that one.
 
 use std::collections::HashMap;
+use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Context, Result, ensure};
@@ -11,20 +12,24 @@ use mr360_client::environment::Environment;
 use mr360_client::governor::Tier;
 use mr360_client::gpu::Gpu;
 use mr360_client::picture::Picture;
-use mr360_client::render::Models;
+use mr360_client::render::{Models, load_light, load_panorama};
 use mr360_client::scene::model::Model;
 use mr360_client::view::{DEPTH_FORMAT, FrameReport, Parallax, Renderer, Resampling, View};
 use mr360_protocol::asset::AssetId;
 use mr360_protocol::light::LightFrame;
 use mr360_protocol::scene::{Gloss, ObjectId, PlaceMesh, Scene, Transform};
+use mr360_protocol::video::StereoLayout;
 use mr360_tests::models::ball;
-use mr360_tests::sandbox::Sandbox;
+use mr360_tests::sandbox::{Sandbox, media};
 use mr360_tests::xr::XrRuntime;
 
-use super::{materials, panorama, video};
+use super::hold::folder;
+use super::{materials, video};
 
-/// Set where the driver is the runtime's.
+/// Set where the driver is the runtime's, to the panorama: there the path of the program, by which it is found, is that of the dynamic loader.
 const THERE: &str = "MR360_TEST_ON_THE_RUNTIMES_DRIVER";
+/// See [`super::PANORAMAS`].
+const PANORAMA: &str = "esplanade";
 const SIZE: (u32, u32) = (160, 96);
 /// Of an eye from the middle, metres.
 const HALF_DISTANCE_M: f32 = 0.032;
@@ -46,13 +51,14 @@ struct Pair {
 
 #[test]
 fn one_pass_draws_both_eyes_as_two_do() -> Result<()> {
-    if std::env::var_os(THERE).is_none() {
+    let Some(path) = std::env::var_os(THERE) else {
         return on_the_runtimes_driver("multiview::one_pass_draws_both_eyes_as_two_do");
-    }
+    };
     let gpu = Gpu::headless()?;
-    let (linear, light) = panorama("esplanade")?;
+    let panorama = || load_panorama(Path::new(&path), StereoLayout::Mono);
+    let light = load_light(&folder().join(format!("{PANORAMA}.json")))?;
     let (objects, mut models) = every_material()?;
-    for case in cases(&linear, &objects, &mut models)? {
+    for case in cases(&panorama, &objects, &mut models)? {
         let [apart, together] = [false, true].map(|multiview| draw(&gpu, multiview, &case, &light, &models));
         let (apart, together) = (apart?, together?);
         for eye in 0..2 {
@@ -76,7 +82,7 @@ fn on_the_runtimes_driver(test: &str) -> Result<()> {
     let output = command
         .arg(std::env::current_exe()?)
         .args(["--exact", test, "--nocapture"])
-        .env(THERE, "1")
+        .env(THERE, media(&format!("hdr/{PANORAMA}.exr"))?)
         .output()
         .context("the runtime's dynamic loader")?;
     let said = [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).concat();
@@ -99,7 +105,7 @@ fn every_material() -> Result<(Scene, Models)> {
     Ok((scene, models))
 }
 
-fn cases(linear: &Picture, scene: &Scene, models: &mut Models) -> Result<Vec<Case>> {
+fn cases(linear: &dyn Fn() -> Result<Picture>, scene: &Scene, models: &mut Models) -> Result<Vec<Case>> {
     let room = ball(24).finish()?;
     let id = AssetId::of(&room);
     models.insert(id, Arc::new(Model::parse(&room)?));
@@ -116,17 +122,21 @@ fn cases(linear: &Picture, scene: &Scene, models: &mut Models) -> Result<Vec<Cas
     let glossy = Scene { ground: polished, place: vec![mesh(polished)], ..sunk.clone() };
     let matt = Scene { place: vec![mesh(Gloss::MATT)], ..scene.clone() };
     let still = |picture: Picture| Picture { pts_us: materials::TIME_US, ..picture };
-    let again = || -> Result<Picture> { Ok(panorama("esplanade")?.0) };
     Ok(vec![
-        Case { name: "matt ground", picture: still(again()?), scene: sunk, tier: Tier::FULL },
-        Case { name: "glossy ground and place", picture: still(again()?), scene: glossy, tier: Tier::FULL },
+        Case { name: "matt ground", picture: still(linear()?), scene: sunk, tier: Tier::FULL },
+        Case { name: "glossy ground and place", picture: still(linear()?), scene: glossy, tier: Tier::FULL },
         Case {
             name: "place before coded video",
-            picture: still(video::coded(linear, video::COLOURS[0].1)?),
+            picture: still(video::coded(&linear()?, video::COLOURS[0].1)?),
             scene: matt,
             tier: Tier::FULL,
         },
-        Case { name: "stereo video, lowest tier", picture: still(video::top_bottom(linear)?), scene: scene.clone(), tier: Tier::LOWEST },
+        Case {
+            name: "stereo video, lowest tier",
+            picture: still(video::top_bottom(&linear()?)?),
+            scene: scene.clone(),
+            tier: Tier::LOWEST,
+        },
     ])
 }
 
