@@ -198,7 +198,7 @@ fn both_eyes_see_what_geometry_and_the_headless_viewer_say() -> Result<()> {
     }
     let status = viewer.wait_for_exit(SHOWN_WITHIN)?;
     ensure!(status.success(), "the viewer ended with {status}:\n{}", viewer.output());
-    for said in ["multiview=true", "5 of 5 kinds of controllers bound", "local-floor"] {
+    for said in ["multiview=true", "5 of 5 kinds of controllers bound", "space=LOCAL_FLOOR"] {
         ensure!(viewer.output().contains(said), "the viewer does not say {said:?}:\n{}", viewer.output());
     }
 
