@@ -1,4 +1,4 @@
-//! Modules for passes that draw both eyes at once: the text of [`Module`](crate::source::Module), with the view looked up by
+//! Modules for passes that draw both eyes at once: the text of [`Module`], with the view looked up by
 //! `@builtin(view_index)`.
 //!
 //! WGSL has no conditions for what a module may declare, and a device without multiview takes no module that mentions it; so one text is

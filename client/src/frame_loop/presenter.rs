@@ -54,7 +54,7 @@ pub struct HeadsetTimes {
 /// When a picture is, in the time of its broadcast.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PictureTime {
-    /// Which broadcast, as [`Playout::epoch`] counts them; a later one's time begins anew.
+    /// Which broadcast, as [`Playout::epoch`](crate::sync::Playout::epoch) counts them; a later one's time begins anew.
     pub epoch: u64,
     /// Within the broadcast, microseconds.
     pub pts_us: u64,
