@@ -2,23 +2,24 @@
 //!
 //! Nothing in here waits for network, decoder or GPU; a [`Presenter`] decides what presenting means.
 
+mod presenter;
+mod stage;
+
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, TryRecvError};
 use std::time::Duration;
 
 use mr360_protocol::clock::{ClientTime, ClockOffset, ServerTime};
-use mr360_protocol::intent::Action;
-use mr360_protocol::light::LightFrame;
 
 use crate::audio::AudioTimeline;
 use crate::camera::Camera;
 use crate::decode::{DecodeCounters, PictureReceiver};
-use crate::governor::Tier;
-use crate::hands::{LocalObject, World};
 use crate::script::Player;
-use crate::stats::{FrameTimes, LightTimes, PassTime, Stats};
-use crate::sync::{ClientClock, LightBlend, Paired, Playout, ReceivedLight};
-use crate::view::Plan;
+use crate::stats::{FrameTimes, LightTimes, Stats};
+use crate::sync::{ClientClock, LightBlend, Playout, ReceivedLight};
+
+pub use presenter::{HeadsetTimes, PictureTime, Presented, Presenter, Shot, Target};
+pub use stage::{Drawn, Stage};
 
 /// Longest rest between two looks at what arrived: well within the least playout delay of 20 ms.
 const IDLE: Duration = Duration::from_millis(4);
@@ -46,138 +47,6 @@ pub enum FrameError {
         /// The reason.
         source: BoxError,
     },
-}
-
-/// Where a view is drawn to.
-pub struct Target {
-    /// A colour attachment.
-    pub view: wgpu::TextureView,
-    /// Its format.
-    pub format: wgpu::TextureFormat,
-    /// A depth attachment of [`DEPTH_FORMAT`](crate::view::DEPTH_FORMAT) and the same size, where whoever presents asks for depth: 1 at [`Camera::NEAR_M`], 0 at infinity.
-    pub depth: Option<wgpu::TextureView>,
-    /// Columns.
-    pub width: u32,
-    /// Rows.
-    pub height: u32,
-}
-
-/// One view of a frame. All of a frame have targets of one format.
-pub struct Shot {
-    /// From where.
-    pub camera: Camera,
-    /// Where to.
-    pub target: Target,
-}
-
-/// What presenting a frame came to.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Presented {
-    /// How often this thread stood still for the GPU, or for pictures that are still shown, within the frame. What a headset's runtime does in
-    /// its own calls is not seen from here.
-    pub gpu_waits: u64,
-    /// Of a headset.
-    pub headset: Option<HeadsetTimes>,
-}
-
-/// What only a headset's frames have.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct HeadsetTimes {
-    /// From reading the pose that the frame was drawn for to when the runtime predicts its light to leave the display, microseconds, 0 when
-    /// that was over; `None` where the runtime's clock cannot be read.
-    pub pose_to_photon_us: Option<u64>,
-    /// From the runtime's call for the frame to handing it over, microseconds: whatever is waited for within a frame is in it.
-    pub frame_us: u64,
-    /// Display intervals since the start that no new frame came for.
-    pub missed: u64,
-}
-
-/// What drawing a view came to.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct Drawn {
-    /// GPU times known by now, those of an earlier frame included.
-    pub passes: Vec<PassTime>,
-    /// How much was left out.
-    pub tier: Tier,
-    /// What was done.
-    pub plan: Plan,
-}
-
-/// The renderer, as the frame loop sees it.
-pub trait Stage: World {
-    /// Takes in what came for the scene since the last turn; true when the view looks different for it.
-    ///
-    /// # Errors
-    /// [`FrameError::DeviceLost`], or whatever keeps it from drawing on.
-    fn prepare(&mut self) -> Result<bool, FrameError>;
-
-    /// Uploads a picture and submits what depends on the video alone. Without a light, objects are to be hidden.
-    ///
-    /// # Errors
-    /// As [`Stage::prepare`].
-    fn update(&mut self, paired: Paired) -> Result<(), FrameError>;
-
-    /// Lights objects from the next frame on by this light, which lies between that of the picture and the next one's. True when the view
-    /// looks different for it.
-    fn relight(&mut self, light: &LightFrame) -> bool;
-
-    /// Draws a frame of one or more views and submits it.
-    ///
-    /// # Errors
-    /// As [`Stage::prepare`].
-    fn draw(&mut self, shots: &[Shot]) -> Result<Drawn, FrameError>;
-
-    /// The display shows a frame every so many microseconds.
-    fn set_interval(&mut self, _interval_us: u32) {}
-
-    /// Shows what a frame costs over the view, or no longer.
-    fn toggle_overlay(&mut self) {}
-
-    /// Told of every frame once it was presented.
-    fn presented(&mut self, _times: &FrameTimes) {}
-
-    /// Shows what mouse and keys do over the view, or no longer.
-    fn toggle_controls(&mut self) {}
-
-    /// Why the device was lost, once it is.
-    fn device_lost(&self) -> Option<String>;
-
-    /// True once the scene has come that wishes are about.
-    fn has_scene(&self) -> bool;
-
-    /// Shows at once what this user does, without the server's word.
-    fn predict(&mut self, action: &Action, now: ClientTime);
-
-    /// Shows these beside the scene from the next frame on, to this viewer alone: the user's hands, and what they point with.
-    fn show_local(&mut self, objects: &[LocalObject]);
-
-    /// As [`Stage::show_local`], beside it: those of a script that is played.
-    fn show_script(&mut self, _objects: &[LocalObject]) {}
-}
-
-/// When a picture is, in the time of its broadcast.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct PictureTime {
-    /// Which broadcast, as [`Playout::epoch`] counts them; a later one's time begins anew.
-    pub epoch: u64,
-    /// Within the broadcast, microseconds.
-    pub pts_us: u64,
-}
-
-/// Shows frames: in a headset, in a window, or to nobody.
-pub trait Presenter {
-    /// The next frame's views, or `None` when there is nowhere to draw just now (hidden window, resize under way): the frame is skipped.
-    /// They are from `camera`, unless whoever presents knows better where the viewer is; then this is the last moment to ask.
-    ///
-    /// # Errors
-    /// [`FrameError::DeviceLost`] when everything has to be opened anew.
-    fn acquire(&mut self, camera: &Camera) -> Result<Option<Vec<Shot>>, FrameError>;
-
-    /// Presents what was drawn to the targets acquired last, of the picture `shown`. `now` is when the drawing was submitted.
-    ///
-    /// # Errors
-    /// As [`Presenter::acquire`].
-    fn present(&mut self, shown: PictureTime, now: ClientTime) -> Result<Presented, FrameError>;
 }
 
 /// From the network, apart from pictures.

@@ -56,7 +56,10 @@ pub struct Gpu {
 const READ_BACK_BYTES: u64 = 64 * 1024 * 1024;
 
 /// Features that are used where the device has them.
-const WANTED: wgpu::Features = wgpu::Features::TIMESTAMP_QUERY.union(wgpu::Features::TEXTURE_FORMAT_16BIT_NORM);
+const WANTED: wgpu::Features = wgpu::Features::TIMESTAMP_QUERY.union(wgpu::Features::TEXTURE_FORMAT_16BIT_NORM).union(MULTIVIEW);
+
+/// What a pass of both eyes needs.
+pub(crate) const MULTIVIEW: wgpu::Features = wgpu::Features::MULTIVIEW.union(wgpu::Features::MULTISAMPLE_ARRAY);
 
 /// A Vulkan instance, to make a window's surface from before the device is chosen.
 #[must_use]
@@ -104,10 +107,11 @@ impl Gpu {
         adapter.features() & WANTED
     }
 
-    /// Limits that a device made elsewhere should have: WebGPU's defaults, with textures as large as the adapter takes.
+    /// Limits that a device made elsewhere should have: WebGPU's defaults, with textures as large and views as many as the adapter takes.
     #[must_use]
     pub fn limits(adapter: &wgpu::Adapter) -> wgpu::Limits {
-        wgpu::Limits { max_texture_dimension_2d: adapter.limits().max_texture_dimension_2d, ..wgpu::Limits::default() }
+        let wgpu::Limits { max_texture_dimension_2d, max_multiview_view_count, .. } = adapter.limits();
+        wgpu::Limits { max_texture_dimension_2d, max_multiview_view_count, ..wgpu::Limits::default() }
     }
 
     /// Takes over a device that was made elsewhere, by an OpenXR runtime for instance.
@@ -154,16 +158,33 @@ impl Gpu {
         Ok(self.device.create_shader_module(wgpu::ShaderModuleDescriptor { label: Some(module.file()), source }))
     }
 
+    /// Compiles a shader module for passes of both eyes, on a device with multiview.
+    ///
+    /// # Errors
+    /// As [`Gpu::shader`].
+    pub(crate) fn multiview_shader(&self, module: mr360_shaders::source::Module) -> Result<wgpu::ShaderModule, GpuError> {
+        let source = wgpu::ShaderSource::Wgsl(module.multiview_source()?.into());
+        Ok(self.device.create_shader_module(wgpu::ShaderModuleDescriptor { label: Some(module.file()), source }))
+    }
+
     /// Copies a texture of 4, 8 or 16 bytes a texel back to memory, rows packed from the top. Waits for the GPU.
     ///
     /// # Errors
     /// [`GpuError::Lost`] when the device went away.
     pub fn read_texture(&self, texture: &wgpu::Texture) -> Result<Vec<u8>, GpuError> {
-        self.read_bands(texture, READ_BACK_BYTES.min(self.device.limits().max_buffer_size))
+        self.read_layer(texture, 0)
     }
 
-    /// As [`Gpu::read_texture`], as many rows at a time as fit `band_bytes`, one at least.
-    fn read_bands(&self, texture: &wgpu::Texture, band_bytes: u64) -> Result<Vec<u8>, GpuError> {
+    /// As [`Gpu::read_texture`], of one of its layers.
+    ///
+    /// # Errors
+    /// As [`Gpu::read_texture`].
+    pub fn read_layer(&self, texture: &wgpu::Texture, layer: u32) -> Result<Vec<u8>, GpuError> {
+        self.read_bands(texture, layer, READ_BACK_BYTES.min(self.device.limits().max_buffer_size))
+    }
+
+    /// As [`Gpu::read_layer`], as many rows at a time as fit `band_bytes`, one at least.
+    fn read_bands(&self, texture: &wgpu::Texture, layer: u32, band_bytes: u64) -> Result<Vec<u8>, GpuError> {
         let (width, height) = (texture.width(), texture.height());
         let row = width * texture.format().block_copy_size(None).unwrap_or(4);
         let padded = row.next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
@@ -179,7 +200,7 @@ impl Gpu {
             let band = rows.min(height - top);
             let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
             encoder.copy_texture_to_buffer(
-                wgpu::TexelCopyTextureInfo { origin: wgpu::Origin3d { x: 0, y: top, z: 0 }, ..texture.as_image_copy() },
+                wgpu::TexelCopyTextureInfo { origin: wgpu::Origin3d { x: 0, y: top, z: layer }, ..texture.as_image_copy() },
                 wgpu::TexelCopyBufferInfo {
                     buffer: &buffer,
                     layout: wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(padded), rows_per_image: None },
@@ -218,6 +239,24 @@ pub(crate) fn block_on<T>(future: impl Future<Output = T>) -> T {
     }
 }
 
+/// A texture that holds these texels of 4 bytes, layer after layer, to be read back.
+#[cfg(test)]
+pub(crate) fn texture_of(gpu: &Gpu, size: wgpu::Extent3d, format: wgpu::TextureFormat, texels: &[u8]) -> wgpu::Texture {
+    let texture = gpu.device.create_texture(&wgpu::TextureDescriptor {
+        label: None,
+        size,
+        mip_level_count: 1,
+        sample_count: 1,
+        dimension: wgpu::TextureDimension::D2,
+        format,
+        usage: wgpu::TextureUsages::COPY_DST | wgpu::TextureUsages::COPY_SRC | wgpu::TextureUsages::RENDER_ATTACHMENT,
+        view_formats: &[],
+    });
+    let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(4 * size.width), rows_per_image: Some(size.height) };
+    gpu.queue.write_texture(texture.as_image_copy(), texels, layout, size);
+    texture
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -225,23 +264,23 @@ mod tests {
     #[test]
     fn bands_of_any_height_give_the_whole_texture() {
         let gpu = Gpu::headless().unwrap();
-        let size = wgpu::Extent3d { width: 5, height: 7, depth_or_array_layers: 1 };
-        let texture = gpu.device.create_texture(&wgpu::TextureDescriptor {
-            label: None,
-            size,
-            mip_level_count: 1,
-            sample_count: 1,
-            dimension: wgpu::TextureDimension::D2,
-            format: wgpu::TextureFormat::Rgba8Unorm,
-            usage: wgpu::TextureUsages::COPY_DST | wgpu::TextureUsages::COPY_SRC,
-            view_formats: &[],
-        });
-        let texels: Vec<u8> = (0..5 * 7 * 4).collect();
-        let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(20), rows_per_image: None };
-        gpu.queue.write_texture(texture.as_image_copy(), &texels, layout, size);
+        let size = wgpu::Extent3d { width: 5, height: 7, depth_or_array_layers: 2 };
+        let texels: Vec<u8> = (0..2 * 5 * 7 * 4).map(|at| (at % 251) as u8).collect();
+        let texture = texture_of(&gpu, size, wgpu::TextureFormat::Rgba8Unorm, &texels);
         // A row takes 256 bytes in a buffer: one row, two, all seven at a time.
         for band_bytes in [1, 600, 1 << 20] {
-            assert_eq!(gpu.read_bands(&texture, band_bytes).unwrap(), texels, "{band_bytes}");
+            for (layer, texels) in (0..).zip(texels.chunks(5 * 7 * 4)) {
+                assert_eq!(gpu.read_bands(&texture, layer, band_bytes).unwrap(), texels, "{band_bytes}");
+            }
         }
+    }
+
+    #[test]
+    fn a_device_that_is_gone_is_known_to_be() {
+        let gpu = Gpu::headless().unwrap();
+        assert!(!gpu.lost() && gpu.wait().is_ok());
+        gpu.device.destroy();
+        // Told by the next look at the device.
+        assert!(matches!(gpu.wait(), Err(GpuError::Lost(_))) && gpu.lost());
     }
 }

@@ -30,14 +30,20 @@ use crate::gpu::{Gpu, GpuError, block_on};
 use crate::picture::{Picture, Samples};
 use crate::record::PictureFile;
 use crate::scene::model::Model;
-use crate::view::{MAX_VIEWS, Parallax, Renderer, Resampling, View};
+use crate::view::{MAX_VIEWS, Parallax, Renderer, Resampling};
 
 mod eyes;
+mod layers;
 mod timing;
 
 pub use timing::{FrameTimes, Timed};
 
 pub use eyes::Eyes;
+pub use layers::Multiview;
+#[cfg(test)]
+pub(crate) use layers::target;
+
+use layers::Layers;
 
 /// Longest side of a panorama, pixels.
 const MAX_SIDE: u32 = 16_384;
@@ -114,6 +120,9 @@ pub struct RenderArgs {
     /// One picture, or both eyes' side by side, each of --size.
     #[arg(long, value_enum, default_value_t = Eyes::One, conflicts_with = "right_eye")]
     pub eyes: Eyes,
+    /// Two views by one pass: auto, where the GPU draws two layers at once; on, or an error; off.
+    #[arg(long, value_enum, default_value_t = Multiview::Auto)]
+    pub multiview: Multiview,
     /// Distance between the eyes, millimetres.
     #[arg(long, default_value_t = 64.0, value_parser = eyes::parse_ipd, allow_negative_numbers = true)]
     pub ipd_mm: f32,
@@ -157,7 +166,8 @@ pub fn run(args: &RenderArgs) -> Result<(), Failure> {
     let gpu = Gpu::headless().map_err(running)?;
     let Inputs { picture, light, scene, assets } = &inputs;
     let still = Still { gpu: &gpu, picture, light, scene, assets };
-    let how = How { reflections: args.reflections, tier: args.tier, parallax: args.parallax, resampling: args.resampling };
+    let RenderArgs { reflections, tier, parallax, resampling, multiview, .. } = *args;
+    let how = How { reflections, tier, parallax, resampling, multiview };
     // All is drawn before anything is written: a GPU that fails leaves no half of what was asked for.
     let draw = |format| args.eyes.draw(&still, how, (&camera, args.ipd_mm * 1e-3), args.size, format);
     let coded = (coded, draw(wgpu::TextureFormat::Rgba8UnormSrgb)?);
@@ -194,6 +204,8 @@ pub struct How {
     pub parallax: Parallax,
     /// How it is resampled.
     pub resampling: Resampling,
+    /// Whether two views are drawn by one pass.
+    pub multiview: Multiview,
 }
 
 impl From<Reflections> for How {
@@ -283,6 +295,12 @@ impl Still<'_> {
     /// # Errors
     /// As [`Still::draw`].
     pub fn draw_by(&self, how: impl Into<How>, camera: &Camera, size: (u32, u32), format: wgpu::TextureFormat) -> Result<Vec<u8>, Failure> {
+        let views = self.draw_views(how.into(), std::slice::from_ref(camera), size, format)?;
+        views.into_iter().next().ok_or_else(|| Failure::Running(anyhow!(TOO_FEW)))
+    }
+
+    /// Draws a frame of some views, each of this size.
+    fn draw_views(&self, how: How, cameras: &[Camera], size: (u32, u32), format: wgpu::TextureFormat) -> Result<Vec<Vec<u8>>, Failure> {
         let gpu = self.gpu;
         let largest = gpu.device.limits().max_texture_dimension_2d;
         if size.0.max(size.1) > largest {
@@ -291,7 +309,7 @@ impl Still<'_> {
         }
         let memory = gpu.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let validation = gpu.device.push_error_scope(wgpu::ErrorFilter::Validation);
-        let drawn = self.draw_checked(how.into(), camera, size, format);
+        let drawn = self.draw_checked(how, cameras, size, format);
         let fault = [block_on(validation.pop()), block_on(memory.pop())].into_iter().flatten().next();
         match fault {
             // The fault came first: what it left undone may have failed in turn.
@@ -301,7 +319,7 @@ impl Still<'_> {
     }
 
     /// The panorama on the GPU, and a renderer that has light and scene.
-    fn set_up(&self, how: How, format: wgpu::TextureFormat) -> Result<(Environment, Renderer), Failure> {
+    fn set_up(&self, how: How, views: usize, format: wgpu::TextureFormat) -> Result<(Environment, Renderer), Failure> {
         let gpu = self.gpu;
         let mut environment = Environment::new(gpu).map_err(running)?;
         environment.upload(gpu, self.picture).map_err(|error| Failure::Input(error.into()))?;
@@ -312,38 +330,25 @@ impl Still<'_> {
         renderer.set_parallax(how.parallax);
         renderer.set_resampling(gpu, how.resampling);
         renderer.set_time(self.picture.pts_us);
+        how.multiview.set_up(gpu, &mut renderer, views)?;
         if let Some(warning) = renderer.set_scene(gpu, self.scene, &|id| self.assets.get(&id).cloned().map(Ok)).into_iter().next() {
             return Err(Failure::Input(warning.into()));
         }
         Ok((environment, renderer))
     }
 
-    fn draw_checked(&self, how: How, camera: &Camera, size: (u32, u32), format: wgpu::TextureFormat) -> Result<Vec<u8>, Failure> {
+    fn draw_checked(&self, how: How, cameras: &[Camera], size: (u32, u32), format: wgpu::TextureFormat) -> Result<Vec<Vec<u8>>, Failure> {
         let gpu = self.gpu;
-        let (mut environment, mut renderer) = self.set_up(how, format)?;
-        let target = target(gpu, size, format);
-        let view = target.create_view(&wgpu::TextureViewDescriptor::default());
+        let (mut environment, mut renderer) = self.set_up(how, cameras.len(), format)?;
+        let layers = Layers::new(gpu, size, cameras.len(), format);
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        let report = renderer.render(gpu, &mut encoder, &mut environment, &[View { camera: *camera, target: &view, size }]);
+        let report = layers.render(gpu, &mut encoder, &mut environment, &mut renderer, cameras);
         gpu.queue.submit([encoder.finish()]);
-        let bytes = gpu.read_texture(&target).map_err(running)?;
+        let views =
+            (0..cameras.len() as u32).map(|layer| gpu.read_layer(&layers.texture, layer).map_err(running)).collect::<Result<_, _>>()?;
         tracing::debug!(plan = ?report.plan, draws = report.draws, triangles = report.triangles, "drawn");
-        Ok(bytes)
+        Ok(views)
     }
-}
-
-/// A texture to draw a picture to and to read it from.
-pub(crate) fn target(gpu: &Gpu, size: (u32, u32), format: wgpu::TextureFormat) -> wgpu::Texture {
-    gpu.device.create_texture(&wgpu::TextureDescriptor {
-        label: Some("picture"),
-        size: wgpu::Extent3d { width: size.0, height: size.1, depth_or_array_layers: 1 },
-        mip_level_count: 1,
-        sample_count: 1,
-        dimension: wgpu::TextureDimension::D2,
-        format,
-        usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC,
-        view_formats: &[],
-    })
 }
 
 /// Reads a panorama: linear from .exr and .hdr, sRGB from everything else. Negative and non-finite values, as

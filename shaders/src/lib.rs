@@ -8,6 +8,7 @@ pub mod colour;
 pub mod equirect;
 pub mod layout;
 pub mod lobe;
+pub mod multiview;
 pub mod project;
 pub mod sh;
 pub mod source;

@@ -134,6 +134,10 @@ pub enum Module {
     Depth,
     /// What is told of a frame, over the view.
     Overlay,
+    /// A headset's picture in a window.
+    Spectator,
+    /// Which view is drawn, to find out whether one pass draws two.
+    EyeProbe,
     /// Light kernels at given directions, for tests against their CPU twins.
     Probe,
     /// Surfaces under ambient light and one light, for tests against numerical integrals.
@@ -142,7 +146,7 @@ pub enum Module {
 
 impl Module {
     /// Every module.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 17] = [
         Self::EnvironmentLift,
         Self::EnvironmentMip,
         Self::EnvironmentPrefilter,
@@ -156,6 +160,8 @@ impl Module {
         Self::Composite,
         Self::Depth,
         Self::Overlay,
+        Self::Spectator,
+        Self::EyeProbe,
         Self::Probe,
         Self::BrdfProbe,
     ];
@@ -177,6 +183,8 @@ impl Module {
             Self::Composite => "composite.wgsl",
             Self::Depth => "depth.wgsl",
             Self::Overlay => "overlay.wgsl",
+            Self::Spectator => "spectator.wgsl",
+            Self::EyeProbe => "eye_probe.wgsl",
             Self::Probe => "probe.wgsl",
             Self::BrdfProbe => "brdf_probe.wgsl",
         }
@@ -221,6 +229,8 @@ files![
     "environment_mip.wgsl",
     "environment_prefilter.wgsl",
     "equirect.wgsl",
+    "eye.wgsl",
+    "eye_probe.wgsl",
     "frame.wgsl",
     "fullscreen.wgsl",
     "glass.wgsl",
@@ -236,6 +246,7 @@ files![
     "reflection.wgsl",
     "sh.wgsl",
     "shadow.wgsl",
+    "spectator.wgsl",
     "video.wgsl",
 ];
 

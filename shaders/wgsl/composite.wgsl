@@ -11,7 +11,7 @@ override EIGHT_BITS: bool = false;
 // Which the shader must make.
 override ENCODE_SRGB: bool = false;
 
-@group(2) @binding(0) var layer: texture_2d<f32>;
+@group(2) @binding(0) var layer: texture_2d_array<f32>;
 
 // In (-0.5, 0.5), all of 64 values once in each 8 × 8 pixels (Bayer 1973): a slow gradient keeps its mean, and a code that is one
 // already stays.
@@ -27,7 +27,7 @@ fn fs_composite(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
     let inside = at.xy - view.layer_origin;
     var drawn = vec4(0.0);
     if all(inside >= vec2(0.0)) && all(inside < view.layer_size) {
-        drawn = textureLoad(layer, vec2<i32>(inside), 0);
+        drawn = textureLoad(layer, vec2<i32>(inside), view_at, 0);
     }
     var colour = drawn.rgb;
     if drawn.a < 1.0 {

@@ -1,5 +1,6 @@
 // What one frame knows: its view, its light, its objects.
 
+#import "eye.wgsl"
 #import "sh.wgsl"
 
 struct View {

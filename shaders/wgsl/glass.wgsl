@@ -6,10 +6,12 @@
 #import "parallax.wgsl"
 
 // What was drawn before, premultiplied, and its depth.
-@group(0) @binding(6) var drawn: texture_2d<f32>;
+@group(0) @binding(6) var drawn: texture_2d_array<f32>;
 @group(0) @binding(7) var drawn_depth: texture_depth_multisampled_2d;
 // The glass's back faces: outward normal, and metres from the eye; 0 where there are none.
-@group(0) @binding(8) var back_faces: texture_2d<f32>;
+@group(0) @binding(8) var back_faces: texture_2d_array<f32>;
+// The depth of the second view, as there are no arrays of such textures.
+@group(0) @binding(9) var drawn_depth_beside: texture_depth_multisampled_2d;
 
 // Facets turn a refracted ray by half as much as they are tilted, at both sides, and a reflected one by twice: the solid angle of the
 // one as a share of the other's, and the roughness whose lobe is as wide, its fourth root.
@@ -62,7 +64,7 @@ fn passage(world: vec3<f32>, n: vec3<f32>, v: vec3<f32>) -> Passage {
     for (var i = 0; i < 4; i++) {
         let at = world + inside * length_m;
         let place = layer_place(at);
-        let back = textureLoad(back_faces, place.texel, 0);
+        let back = textureLoad(back_faces, place.texel, view_at, 0);
         if !place.inside || back.w <= 0.0 {
             break;
         }
@@ -79,10 +81,17 @@ fn passage(world: vec3<f32>, n: vec3<f32>, v: vec3<f32>) -> Passage {
     return Passage(world + inside * length_m, normalize(left), length_m);
 }
 
+fn drawn_depth_at(texel: vec2<i32>) -> f32 {
+    if view_at > 0u {
+        return textureLoad(drawn_depth_beside, texel, 0);
+    }
+    return textureLoad(drawn_depth, texel, 0);
+}
+
 // Metres before the eye of what was drawn there; far away where nothing was.
 fn drawn_ahead(texel: vec2<i32>) -> f32 {
     // The projection's near plane over depth: depth is reversed and has no far plane.
-    return view.clip_from_world[3].z / max(textureLoad(drawn_depth, texel, 0), 1e-9);
+    return view.clip_from_world[3].z / max(drawn_depth_at(texel), 1e-9);
 }
 
 // Steps of the ray beyond the glass, and how far it goes in them, metres.
@@ -147,8 +156,8 @@ fn beyond(way: Passage, spread: f32) -> Beyond {
         // What is blended has no depth: it is seen as far away as the panorama is.
         let place = layer_place(way.exit + way.direction * min(ground_m, BEYOND_LAST_M));
         var blended = vec4(0.0);
-        if place.inside && textureLoad(drawn_depth, place.texel, 0) == 0.0 {
-            blended = textureLoad(drawn, place.texel, 0);
+        if place.inside && drawn_depth_at(place.texel) == 0.0 {
+            blended = textureLoad(drawn, place.texel, view_at, 0);
         }
         return Beyond(blended, select(way.direction, towards, lands));
     }
@@ -158,7 +167,7 @@ fn beyond(way: Passage, spread: f32) -> Beyond {
     var turn = vec2(1.0, 0.0);
     for (var i = 0u; i < taps; i++) {
         let aside = sides * (turn * sqrt((f32(i) + 0.5) / f32(taps)) * spread);
-        sum += textureLoad(drawn, layer_place(way.exit + (way.direction + aside) * met_m).texel, 0);
+        sum += textureLoad(drawn, layer_place(way.exit + (way.direction + aside) * met_m).texel, view_at, 0);
         turn = turned(turn);
     }
     return Beyond(sum / f32(taps), filmed_at(way.exit + way.direction * met_m));

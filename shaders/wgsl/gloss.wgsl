@@ -6,8 +6,8 @@
 #import "reflection.wgsl"
 
 // What the ground mirrors of the objects, with mips, premultiplied; and how near they are to it (see `mirrored`).
-@group(3) @binding(0) var mirror_image: texture_2d<f32>;
-@group(3) @binding(1) var mirror_nearness: texture_2d<f32>;
+@group(3) @binding(0) var mirror_image: texture_2d_array<f32>;
+@group(3) @binding(1) var mirror_nearness: texture_2d_array<f32>;
 @group(3) @binding(2) var mirror_sampler: sampler;
 
 // Rays of a lobe through the mirror image: to look for objects, and to show them.
@@ -77,8 +77,8 @@ fn mirror_tap(ground: vec3<f32>, ray: LobeRay, way_m: f32) -> MirrorTap {
     let level = log2(max(across_px, 1.0));
     let at = pixel / size;
     return MirrorTap(
-        textureSampleLevel(mirror_image, mirror_sampler, at, level),
-        textureSampleLevel(mirror_nearness, mirror_sampler, at, level).r,
+        textureSampleLevel(mirror_image, mirror_sampler, at, view_at, level),
+        textureSampleLevel(mirror_nearness, mirror_sampler, at, view_at, level).r,
     );
 }
 

@@ -13,11 +13,8 @@ fn filmed_at(point: vec3<f32>) -> vec3<f32> {
     return normalize(point - view.position);
 }
 
-// Of what lies along a ray from the eye, where no mesh of the place is: the ground within the dome, or the dome.
-fn filmed_along(ray: vec3<f32>) -> vec3<f32> {
-    if !PARALLAX {
-        return ray;
-    }
+// Metres along a ray from the eye to what the background shows there, where no mesh of the place is: the ground within the dome, or the dome.
+fn background_m(ray: vec3<f32>) -> f32 {
     let b = dot(view.position, ray);
     let c = dot(view.position, view.position) - view.dome_m * view.dome_m;
     var way_m = sqrt(max(b * b - c, 0.0)) - b;
@@ -26,5 +23,13 @@ fn filmed_along(ray: vec3<f32>) -> vec3<f32> {
     if ray.y < 0.0 && fall_m > 0.0 && lighting.ground_y < 0.0 {
         way_m = min(way_m, fall_m / -ray.y);
     }
-    return normalize(view.position + ray * way_m);
+    return way_m;
+}
+
+// Of what lies there.
+fn filmed_along(ray: vec3<f32>) -> vec3<f32> {
+    if !PARALLAX {
+        return ray;
+    }
+    return normalize(view.position + ray * background_m(ray));
 }

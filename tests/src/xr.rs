@@ -75,8 +75,27 @@ impl XrRuntime {
     /// When it cannot be started.
     pub fn join(&self, sandbox: &Sandbox, name: &str, url: &str, arguments: &[&str]) -> Result<Program> {
         let mut command = sandbox.client_command_by(self.script("run")?)?;
-        command.args(["join", url]).args(arguments);
+        // No window mirrors it on whatever display there is.
+        command.args(["join", url]).args(arguments).env_remove("DISPLAY").env_remove("WAYLAND_DISPLAY");
         Program::spawn(name, &mut command)
+    }
+
+    /// As [`XrRuntime::join`], with a window on this display.
+    ///
+    /// # Errors
+    /// When it cannot be started.
+    pub fn join_on_display(&self, sandbox: &Sandbox, display: &str, url: &str, arguments: &[&str]) -> Result<Program> {
+        let mut command = sandbox.client_command_by(self.script("run")?)?;
+        command.args(["join", url]).args(arguments).env("DISPLAY", display).env_remove("WAYLAND_DISPLAY");
+        Program::spawn("viewer", &mut command)
+    }
+
+    /// What starts a program on the runtime and with its Vulkan driver, to be given its path and arguments.
+    ///
+    /// # Errors
+    /// When the path of this program is not known.
+    pub fn starter(&self) -> Result<Command> {
+        self.script("run")
     }
 
     /// Connects to the driver of head and hands.

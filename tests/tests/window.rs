@@ -8,6 +8,7 @@ use image::RgbImage;
 use mr360_tests::probe::LONG;
 use mr360_tests::process::Program;
 use mr360_tests::sandbox::Sandbox;
+use mr360_tests::xr::{XrRuntime, kept_frames};
 
 const SIZE: (u32, u32) = (640, 400);
 /// The plaza's sun.
@@ -87,6 +88,60 @@ fn on_map(shown: &RgbImage, (azimuth_deg, elevation_deg): (f64, f64), below: f64
     let x = MAP[0] + MAP[2] * (0.5 + azimuth_deg / 360.0);
     let y = MAP[1] + MAP[3] * (0.5 - elevation_deg / 180.0) + below;
     shown.get_pixel((x * f64::from(SCALE)) as u32, (y * f64::from(SCALE)) as u32).0.into_iter().max().unwrap_or_default()
+}
+
+/// What the window shows where it covers it with a picture of this size, mean difference of its codes.
+fn off(shown: &RgbImage, picture: &RgbImage) -> f64 {
+    let scale = (f64::from(SIZE.0) / f64::from(picture.width())).max(f64::from(SIZE.1) / f64::from(picture.height()));
+    let cut = |side: u32, of: u32| 0.5 * (f64::from(of) * scale - f64::from(side));
+    let (left, top) = (cut(SIZE.0, picture.width()), cut(SIZE.1, picture.height()));
+    let mut sum = 0.0;
+    for (x, y, pixel) in shown.enumerate_pixels() {
+        let at = |place: u32, cut: f64, of: u32| (((f64::from(place) + 0.5 + cut) / scale) as u32).min(of - 1);
+        let seen = picture.get_pixel(at(x, left, picture.width()), at(y, top, picture.height()));
+        sum += f64::from(pixel.0[1].abs_diff(seen.0[1]));
+    }
+    sum / f64::from(SIZE.0 * SIZE.1)
+}
+
+#[test]
+fn a_window_mirrors_the_left_eye_of_a_headset() -> Result<()> {
+    let sandbox = Sandbox::new()?;
+    let (_display, name) = display()?;
+    // So near that the eyes see it at different places.
+    std::fs::write(
+        sandbox.path("SCENE.toml"),
+        "ground_y = -1.6\n[[object]]\nshape = \"sphere\"\nposition = [0.0, 0.0, -0.7]\nscale = 0.3\n",
+    )?;
+    let server = sandbox.serve("synthetic:plaza?size=512x256&movers=0", &["--listen", "127.0.0.1:0", "--scene", "SCENE.toml"])?;
+    let mut runtime = XrRuntime::new(&sandbox, "xr")?;
+    runtime.start()?;
+    let size = format!("{}x{}", SIZE.0, SIZE.1);
+    let folder = sandbox.path("eyes");
+    let arguments = ["--mode", "xr", "--mute", "--size", &size, "--record-eyes", folder.to_str().context("path")?];
+    let mut viewer = runtime.join_on_display(&sandbox, &name, &server.join_url, &arguments)?;
+    for _ in 0..3 {
+        viewer.wait_for_text("eyes kept", LONG)?;
+        viewer.mark();
+    }
+    let last = kept_frames(&folder)?.pop().and_then(|frame| frame["frame"].as_u64()).context("no kept frame")?;
+    let eye = |name: &str| -> Result<RgbImage> { Ok(image::open(folder.join(format!("{last:06}-{name}.png")))?.into_rgb8()) };
+    let (left, right) = (eye("left")?, eye("right")?);
+    let begin = Instant::now();
+    // The display shows a frame some time after it was presented.
+    loop {
+        let shown = shot(&sandbox, &name)?;
+        let (near, far) = (off(&shown, &left), off(&shown, &right));
+        if near < 4.0 && 2.0 * near < far {
+            break;
+        }
+        if begin.elapsed() > LONG || !viewer.is_running() {
+            let kept = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("mirror.png");
+            shown.save(&kept)?;
+            bail!("{near} codes off the left eye, {far} off the right, see {}:\n{}", kept.display(), viewer.output());
+        }
+    }
+    viewer.finish(LONG)
 }
 
 #[test]

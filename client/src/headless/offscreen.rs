@@ -50,7 +50,7 @@ impl Offscreen {
     #[must_use]
     pub fn target(&self) -> Target {
         let view = self.texture.create_view(&wgpu::TextureViewDescriptor::default());
-        Target { view, format: Self::FORMAT, depth: None, width: self.texture.width(), height: self.texture.height() }
+        Target { view, both: None, format: Self::FORMAT, depth: None, width: self.texture.width(), height: self.texture.height() }
     }
 
     /// Waits until everything submitted is done.

@@ -214,6 +214,10 @@ impl Stage for LiveStage {
             let failed = |source: BoxError| FrameError::Failed { action: "setting up the renderer", source };
             let mut renderer = Renderer::new(&self.gpu, wanted).map_err(|error| failed(error.into()))?;
             renderer.set_parallax(self.parallax);
+            if shots.iter().any(|shot| shot.target.both.is_some()) {
+                let multiview = renderer.use_multiview(&self.gpu).map_err(|error| failed(error.into()))?;
+                tracing::info!(multiview, "views of both eyes");
+            }
             if let Some(light) = &self.light {
                 renderer.set_light(light);
             }
@@ -229,7 +233,11 @@ impl Stage for LiveStage {
         let views: Vec<View<'_>> = shots.iter().map(view_of).collect();
         let depths: Vec<&wgpu::TextureView> = shots.iter().filter_map(|shot| shot.target.depth.as_ref()).collect();
         renderer.set_keeps_depth(!depths.is_empty());
-        let report = renderer.render(&self.gpu, &mut encoder, &mut self.environment, &views);
+        let both = shots.first().and_then(|shot| shot.target.both.as_ref());
+        let report = match (<&[View<'_>; 2]>::try_from(views.as_slice()), both) {
+            (Ok(eyes), Some(both)) => renderer.render_eyes(&self.gpu, &mut encoder, &mut self.environment, (eyes, both)),
+            _ => renderer.render(&self.gpu, &mut encoder, &mut self.environment, &views),
+        };
         if !depths.is_empty() {
             let failed = |error: GpuError| FrameError::Failed { action: "writing depth", source: error.into() };
             renderer.write_depth(&self.gpu, &mut encoder, &depths).map_err(failed)?;

@@ -18,6 +18,7 @@ use std::time::Instant;
 
 use mr360_protocol::intent::{Action, PUT_BURST, PUT_INTERVAL_US, Rate};
 use mr360_protocol::stop::asked_to_stop;
+use winit::event_loop::EventLoop;
 
 use crate::Failure;
 use crate::camera::Camera;
@@ -31,7 +32,7 @@ use crate::stats::Stats;
 use crate::sync::ClientClock;
 use crate::view;
 use crate::window::{self, WindowError, WindowGraphics};
-use crate::xr::{self, EyeRecorder, XrError};
+use crate::xr::{self, EyeRecorder, Spectator, XrError};
 use args::{DISPLAY_MHZ, HEADSET_MHZ, Settings};
 use arrivals::Arrivals;
 use inbox::Inbox;
@@ -86,7 +87,7 @@ fn present(settings: &Settings, stats: Stats, outputs: Outputs, (deeds, recorder
     let settings = &settings;
     let shown = match settings.mode {
         Mode::Xr => in_headset(&mut frames, settings, outputs.eyes, &scene, &mut act),
-        Mode::Window => in_window(&mut frames, settings, &scene, &mut act),
+        Mode::Window => in_window(&mut frames, settings, &scene, &mut act, None),
         Mode::Headless => to_file(&mut frames, settings, outputs.files, &scene),
     };
     drop(network);
@@ -114,10 +115,13 @@ fn in_headset(
         let stage = LiveStage::new(gpu, scene.clone(), settings.governor(Some(HEADSET_MHZ)))?;
         Ok(settings.stage(stage.with_parallax(settings.parallax)))
     };
-    match xr::run(frames, &settings.headset(frames.frames()), xr::Surroundings { open: &mut open, act: &mut *act, eyes }) {
+    let mut spectator =
+        Spectator::new(&settings.window(frames.frames())).inspect_err(|error| tracing::debug!("no window mirrors the headset: {error}")).ok();
+    let surroundings = xr::Surroundings { open: &mut open, act: &mut *act, eyes, spectator: spectator.as_mut() };
+    match xr::run(frames, &settings.headset(frames.frames()), surroundings) {
         Err(error @ XrError::NoHeadset { .. }) => {
             tracing::warn!("{error}; going on in a window");
-            in_window(frames, settings, scene, act)
+            in_window(frames, settings, scene, act, spectator.map(Spectator::into_event_loop))
         }
         result => result.map(drop).map_err(Into::into),
     }
@@ -146,7 +150,13 @@ fn wishes(user: User, recorder: Option<script::Recorder>, clock: ClientClock) ->
     }
 }
 
-fn in_window(frames: &mut FrameLoop, settings: &Settings, scene: &SharedScene, act: &mut dyn FnMut(Action)) -> anyhow::Result<()> {
+fn in_window(
+    frames: &mut FrameLoop,
+    settings: &Settings,
+    scene: &SharedScene,
+    act: &mut dyn FnMut(Action),
+    events: Option<EventLoop<()>>,
+) -> anyhow::Result<()> {
     let mut open = |window: Arc<winit::window::Window>| -> Result<WindowGraphics<LiveStage>, BoxError> {
         let display_mhz = window.current_monitor().and_then(|monitor| monitor.refresh_rate_millihertz()).unwrap_or(DISPLAY_MHZ);
         let governor = settings.governor(Some(display_mhz));
@@ -157,7 +167,7 @@ fn in_window(frames: &mut FrameLoop, settings: &Settings, scene: &SharedScene, a
         let stage = settings.stage(LiveStage::new(gpu, scene.clone(), governor)?.with_parallax(settings.parallax));
         Ok(WindowGraphics { surface, adapter, device, queue, stage })
     };
-    match window::run(frames, &settings.window(frames.frames()), &mut open, act) {
+    match window::run(frames, &settings.window(frames.frames()), &mut open, act, events) {
         Err(error @ WindowError::NoDisplay { .. }) => {
             tracing::warn!("{error}; going on headless");
             // Nothing is written from a window, nor from what takes its place.

@@ -1,8 +1,9 @@
 //! `--eyes`: one picture, or what two eyes see, side by side.
 
+use anyhow::anyhow;
 use glam::Vec3;
 
-use super::{How, Still};
+use super::{How, Still, TOO_FEW};
 use crate::Failure;
 use crate::camera::Camera;
 
@@ -47,9 +48,10 @@ impl Eyes {
         let eye = |right_eye: bool| {
             let aside = if right_eye { 0.5 * ipd_m } else { -0.5 * ipd_m };
             let position = head.position + head.world_from_view * Vec3::X * aside;
-            still.draw_by(how, &Camera { position, right_eye, ..*head }, size, format)
+            Camera { position, right_eye, ..*head }
         };
-        let (left, right) = (eye(false)?, eye(true)?);
+        let views = still.draw_views(how, &[eye(false), eye(true)], size, format)?;
+        let [left, right] = <[Vec<u8>; 2]>::try_from(views).map_err(|_| Failure::Running(anyhow!(TOO_FEW)))?;
         let row = (left.len() / size.1.max(1) as usize).max(1);
         Ok(left.chunks(row).zip(right.chunks(row)).flat_map(|(left, right)| [left, right]).flatten().copied().collect())
     }

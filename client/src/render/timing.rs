@@ -5,11 +5,12 @@ use std::time::{Duration, Instant};
 use anyhow::anyhow;
 use glam::{Quat, Vec3};
 
-use super::{How, Still, running, target};
+use super::layers::Layers;
+use super::{How, Still, running};
 use crate::Failure;
 use crate::camera::Camera;
 use crate::stats::PassTime;
-use crate::view::{FrameReport, MAX_VIEWS, View};
+use crate::view::{FrameReport, MAX_VIEWS};
 
 /// Frames that `--passes` times: as many as hold reflections of every tier equally often.
 const TIMED_FRAMES: usize = 8;
@@ -70,11 +71,9 @@ impl Still<'_> {
     /// Draws frames and waits for each.
     fn run(&self, how: How, timed: Timed, new_pictures: bool, count: usize) -> Result<Vec<(FrameReport, Duration)>, Failure> {
         let (gpu, format) = (self.gpu, wgpu::TextureFormat::Rgba8UnormSrgb);
-        let (mut environment, mut renderer) = self.set_up(how, format)?;
-        let targets: Vec<wgpu::TextureView> = (0..timed.views.clamp(1, MAX_VIEWS))
-            .map(|_| target(gpu, timed.size, format).create_view(&wgpu::TextureViewDescriptor::default()))
-            .collect();
-        let cameras: Vec<Camera> = (0..targets.len()).map(|at| beside(&timed.camera, at)).collect();
+        let cameras: Vec<Camera> = (0..timed.views.clamp(1, MAX_VIEWS)).map(|at| beside(&timed.camera, at)).collect();
+        let (mut environment, mut renderer) = self.set_up(how, cameras.len(), format)?;
+        let layers = Layers::new(gpu, timed.size, cameras.len(), format);
         let mut light = self.light.clone();
         let mut frames = Vec::with_capacity(count);
         for frame in 0..UNTIMED_FRAMES + count {
@@ -84,10 +83,8 @@ impl Still<'_> {
                 light.lights.iter_mut().for_each(|light| light.direction = Quat::from_rotation_y(TURN_RAD) * light.direction);
                 renderer.set_light(&light);
             }
-            let view = |(camera, target)| View { camera, target, size: timed.size };
-            let views: Vec<View<'_>> = cameras.iter().copied().zip(&targets).map(view).collect();
             let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-            let report = renderer.render(gpu, &mut encoder, &mut environment, &views);
+            let report = layers.render(gpu, &mut encoder, &mut environment, &mut renderer, &cameras);
             gpu.queue.submit([encoder.finish()]);
             gpu.wait().map_err(running)?;
             if frame >= UNTIMED_FRAMES {

@@ -31,12 +31,17 @@ impl Pipelines {
             cull: Some(wgpu::Face::Back),
             depth: Some(depth(wgpu::CompareFunction::Greater, behind)),
             samples: kind.samples,
+            views: kind.views,
             constants: &constants,
         };
         match what {
             Use::Place { glossy: false } => {
                 let fragment = Some(("fs_place", Some(LAYER_FORMAT)));
-                build(gpu, &self.ground, &Recipe { label: "place", vertex: "vs_place", fragment, mesh: true, cull: None, ..ground })
+                build(
+                    gpu,
+                    &self.drawn(kind).ground,
+                    &Recipe { label: "place", vertex: "vs_place", fragment, mesh: true, cull: None, ..ground },
+                )
             }
             Use::Place { glossy: true } => {
                 let recipe = Recipe {
@@ -49,7 +54,7 @@ impl Pipelines {
                     constants: &glossy_constants,
                     ..ground
                 };
-                build(gpu, &self.ground, &recipe)
+                build(gpu, &self.drawn(kind).ground, &recipe)
             }
             Use::PlaceMirrored => {
                 let recipe = Recipe {
@@ -63,7 +68,7 @@ impl Pipelines {
                     constants: &[],
                     ..ground
                 };
-                build(gpu, &self.ground, &recipe)
+                build(gpu, &self.drawn(kind).ground, &recipe)
             }
             Use::Ground { glossy: true } => {
                 let recipe = Recipe {
@@ -73,20 +78,24 @@ impl Pipelines {
                     constants: &glossy_constants,
                     ..ground
                 };
-                build(gpu, &self.ground, &recipe)
+                build(gpu, &self.drawn(kind).ground, &recipe)
             }
             Use::Horizon => {
                 let fragment = Some(("fs_horizon", Some(LAYER_FORMAT)));
                 // It lies in the ground's own plane, and gives way to it too.
                 let farther = wgpu::DepthBiasState { constant: -32, slope_scale: -4.0, clamp: 0.0 };
                 let depth = Some(depth(wgpu::CompareFunction::Greater, farther));
-                build(gpu, &self.ground, &Recipe { label: "horizon", vertex: "vs_horizon", fragment, depth, constants: &[], ..ground })
+                build(
+                    gpu,
+                    &self.drawn(kind).ground,
+                    &Recipe { label: "horizon", vertex: "vs_horizon", fragment, depth, constants: &[], ..ground },
+                )
             }
-            _ => build(gpu, &self.ground, &ground),
+            _ => build(gpu, &self.drawn(kind).ground, &ground),
         }
     }
 
-    pub(super) fn mirror_mip(&self, gpu: &Gpu, layouts: &Layouts) -> wgpu::RenderPipeline {
+    pub(super) fn mirror_mip(&self, gpu: &Gpu, layouts: &Layouts, kind: Kind) -> wgpu::RenderPipeline {
         let recipe = Recipe {
             label: "mirror mip",
             vertex: "vs_fullscreen",
@@ -100,8 +109,9 @@ impl Pipelines {
             cull: None,
             depth: None,
             samples: 1,
+            views: kind.views,
             constants: &[],
         };
-        build(gpu, &self.mirror_mip, &recipe)
+        build(gpu, &self.drawn(kind).mirror_mip, &recipe)
     }
 }

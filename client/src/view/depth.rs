@@ -4,8 +4,8 @@ use std::collections::HashMap;
 
 use mr360_shaders::source::Module;
 
-use super::pipelines::{DEPTH_FORMAT, Layouts};
-use super::resources::{Layer, VIEW_STRIDE};
+use super::pipelines::{DEPTH_FORMAT, Layouts, flag};
+use super::resources::{VIEW_STRIDE, texture, texture_view};
 use super::{Renderer, depth_attachment};
 use crate::environment::texture_entry;
 use crate::gpu::{Gpu, GpuError};
@@ -13,17 +13,21 @@ use crate::gpu::{Gpu, GpuError};
 /// Pipelines that write a layer's depth to a whole picture.
 pub(super) struct DepthPass {
     shader: wgpu::ShaderModule,
-    /// By samples a pixel of the layer.
-    made: HashMap<u32, wgpu::RenderPipeline>,
+    /// By samples a pixel of the layer, and whether the background has a distance.
+    made: HashMap<(u32, bool), wgpu::RenderPipeline>,
+    /// In place of a layer where nothing was drawn.
+    nothing: wgpu::TextureView,
 }
 
 impl DepthPass {
     pub(super) fn new(gpu: &Gpu) -> Result<Self, GpuError> {
-        Ok(Self { shader: gpu.shader(Module::Depth)?, made: HashMap::new() })
+        let bound = wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::RENDER_ATTACHMENT;
+        let nothing = texture_view(&texture(&gpu.device, ("no depth", 1), (1, 1), 1, 1, DEPTH_FORMAT, bound));
+        Ok(Self { shader: gpu.shader(Module::Depth)?, made: HashMap::new(), nothing })
     }
 
-    fn pipeline(&mut self, gpu: &Gpu, layouts: &Layouts, samples: u32) -> &wgpu::RenderPipeline {
-        self.made.entry(samples).or_insert_with(|| make(gpu, &self.shader, layouts, samples))
+    fn pipeline(&mut self, gpu: &Gpu, layouts: &Layouts, (samples, backed): (u32, bool)) -> &wgpu::RenderPipeline {
+        self.made.entry((samples, backed)).or_insert_with(|| make(gpu, &self.shader, layouts, (samples, backed)))
     }
 }
 
@@ -34,7 +38,8 @@ impl Renderer {
     }
 
     /// Records the depth of the views that were recorded last, in their order, to targets of [`DEPTH_FORMAT`] and of their size: 1 at
-    /// [`Camera::NEAR_M`](crate::camera::Camera::NEAR_M), 0 at infinity, where the panorama is seen. Blended surfaces have none.
+    /// [`Camera::NEAR_M`](crate::camera::Camera::NEAR_M), 0 at infinity, where the panorama is seen unless it has a distance, and then of that.
+    /// Blended surfaces have none.
     ///
     /// # Errors
     /// [`GpuError::Shader`] when the build lacks a shader file.
@@ -44,15 +49,22 @@ impl Renderer {
             None => DepthPass::new(gpu)?,
         };
         for (at, target) in targets.iter().enumerate() {
-            let layer = self.layers.get(at).filter(|_| self.keeps_depth && self.drawn.get(at).copied().unwrap_or(false));
-            let group = layer.map(|(_, layer)| group(gpu, layer, self.samples));
+            // Layers of both eyes are in one.
+            let (layer, view) = if self.together { (self.layers.first(), at as u32) } else { (self.layers.get(at), 0) };
+            let layer = layer.filter(|_| self.keeps_depth && self.drawn.get(at).copied().unwrap_or(false));
+            let (depth, samples) = match layer {
+                Some((_, layer)) => (layer.depth_of(view), self.samples),
+                None => (pass_kind.nothing.clone(), 1),
+            };
+            let shown = layer.is_some() || self.backed;
+            let group = shown.then(|| group(gpu, &depth, samples));
             let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
                 label: Some("depth"),
                 depth_stencil_attachment: Some(depth_attachment(target, 0.0, wgpu::StoreOp::Store)),
                 ..wgpu::RenderPassDescriptor::default()
             });
             let Some(group) = group else { continue };
-            pass.set_pipeline(pass_kind.pipeline(gpu, &self.layouts, self.samples));
+            pass.set_pipeline(pass_kind.pipeline(gpu, &self.layouts, (samples, self.backed)));
             pass.set_bind_group(0, &self.resources.frame, &[at as u32 * VIEW_STRIDE]);
             pass.set_bind_group(1, &group, &[]);
             pass.draw(0..3, 0..1);
@@ -74,19 +86,19 @@ fn layout(gpu: &Gpu, samples: u32) -> wgpu::BindGroupLayout {
     gpu.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some("depth"), entries: &entries })
 }
 
-fn group(gpu: &Gpu, layer: &Layer, samples: u32) -> wgpu::BindGroup {
-    let entries = [wgpu::BindGroupEntry { binding: u32::from(samples == 1), resource: wgpu::BindingResource::TextureView(&layer.depth) }];
+fn group(gpu: &Gpu, depth: &wgpu::TextureView, samples: u32) -> wgpu::BindGroup {
+    let entries = [wgpu::BindGroupEntry { binding: u32::from(samples == 1), resource: wgpu::BindingResource::TextureView(depth) }];
     gpu.device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some("depth"), layout: &layout(gpu, samples), entries: &entries })
 }
 
-fn make(gpu: &Gpu, shader: &wgpu::ShaderModule, layouts: &Layouts, samples: u32) -> wgpu::RenderPipeline {
+fn make(gpu: &Gpu, shader: &wgpu::ShaderModule, layouts: &Layouts, (samples, backed): (u32, bool)) -> wgpu::RenderPipeline {
     let layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
         label: Some("depth"),
         bind_group_layouts: &[Some(&layouts.frame), Some(&layout(gpu, samples))],
         immediate_size: 0,
     });
-    let constants = [("SAMPLES", f64::from(samples))];
-    let (entry, constants) = if samples > 1 { ("fs_depth_samples", &constants[..]) } else { ("fs_depth_single", &[][..]) };
+    let constants = [("PARALLAX", flag(backed)), ("SAMPLES", f64::from(samples))];
+    let (entry, constants) = if samples > 1 { ("fs_depth_samples", &constants[..]) } else { ("fs_depth_single", &constants[..1]) };
     gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
         label: Some("depth"),
         layout: Some(&layout),

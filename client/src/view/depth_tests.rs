@@ -4,7 +4,7 @@ use glam::{Vec2, Vec3};
 use mr360_protocol::scene::{Material, MaterialKind, Shape};
 
 use super::tests::{SIZE, diffuse, draw, gradient, mirror, object, panorama, scene, sun};
-use super::{DEPTH_FORMAT, Renderer, View};
+use super::{DEPTH_FORMAT, Parallax, Renderer, View};
 use crate::camera::{Camera, Edges, FieldOfView};
 use crate::environment::Environment;
 use crate::governor::Tier;
@@ -98,6 +98,40 @@ fn depth_is_that_of_the_nearest_surface_and_the_panorama_is_infinitely_far() {
         assert!((at(0.2, -0.2) - Camera::NEAR_M / 2.0).abs() < 1e-5);
         assert_eq!((at(-0.6, 0.0), at(0.0, 0.6)), (0.0, 0.0));
         assert!(away.iter().all(|depth| *depth == 0.0));
+    }
+}
+
+#[test]
+fn a_background_with_a_distance_has_that_depth() {
+    let gpu = Gpu::headless().unwrap();
+    let mut renderer = Renderer::new(&gpu, wgpu::TextureFormat::Rgba8Unorm).unwrap();
+    let mut environment = Environment::new(&gpu).unwrap();
+    let ground_y = -1.6;
+    renderer.set_scene(&gpu, &mr360_protocol::scene::Scene { ground_y, ..scene(vec![]) }, &|_| None);
+    renderer.set_keeps_depth(true);
+    let size = (16, 16);
+    let colour = crate::render::target(&gpu, size, wgpu::TextureFormat::Rgba8Unorm).create_view(&Default::default());
+    let depth = crate::render::target(&gpu, size, DEPTH_FORMAT);
+    let camera = Camera { position: Vec3::new(0.1, 0.2, 0.0), ..Camera::looking(0.3, -0.2, 1.2) };
+    let dome_m = 20.0;
+    for parallax in [Parallax::Ground { dome_m }, Parallax::Infinity] {
+        renderer.set_parallax(parallax);
+        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        renderer.render(&gpu, &mut encoder, &mut environment, &[View { camera, target: &colour, size }]);
+        renderer.write_depth(&gpu, &mut encoder, &[&depth.create_view(&Default::default())]).unwrap();
+        gpu.queue.submit([encoder.finish()]);
+        let depths: Vec<f32> = bytemuck::pod_collect_to_vec(&gpu.read_texture(&depth).unwrap());
+        for (at, depth) in (0..).zip(depths) {
+            let ray = camera.ray(Vec2::new((at % 16) as f32 / 8.0 - 0.9375, 0.9375 - (at / 16) as f32 / 8.0), 1.0);
+            let fall = (camera.position.y - ground_y) / -ray.y;
+            // To the dome about the origin: |position + ray · t| is its radius.
+            let along = camera.position.dot(ray);
+            let dome = (along * along + dome_m * dome_m - camera.position.length_squared()).sqrt() - along;
+            let way = if ray.y < 0.0 { fall.min(dome) } else { dome };
+            let ahead = way * ray.dot(camera.world_from_view * Vec3::NEG_Z);
+            let expected = if parallax == Parallax::Infinity { 0.0 } else { Camera::NEAR_M / ahead };
+            assert!((depth - expected).abs() <= 1e-4 * expected, "{parallax:?} {at}: {depth} instead of {expected}");
+        }
     }
 }
 

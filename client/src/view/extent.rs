@@ -16,6 +16,16 @@ pub(super) struct Part {
     pub(super) size: (u32, u32),
 }
 
+impl Part {
+    /// The smallest that holds both.
+    pub(super) fn joined(self, other: Self) -> Self {
+        let ends = |part: Self| (part.origin.0 + part.size.0, part.origin.1 + part.size.1);
+        let (first, second) = (ends(self), ends(other));
+        let origin = (self.origin.0.min(other.origin.0), self.origin.1.min(other.origin.1));
+        Self { origin, size: (first.0.max(second.0) - origin.0, first.1.max(second.1) - origin.1) }
+    }
+}
+
 /// Where casters and changed ground and place appear in an image of this size; `None` where nothing of them is in view.
 pub(super) fn touched(camera: &Camera, size: (u32, u32), stage: &Stage, (ground, place): (Option<Bounds>, &[Bounds])) -> Option<Part> {
     let (width, height) = (size.0.max(1) as f32, size.1.max(1) as f32);
@@ -85,6 +95,13 @@ mod tests {
         let around = stage(Vec3::splat(-1.0), Vec3::splat(1.0));
         assert_eq!(touched(&camera, (640, 360), &around, (None, &[])), Some(Part { origin: (0, 0), size: (640, 360) }));
         assert_eq!(touched(&camera, (640, 360), &Stage::default(), (None, &[])), None);
+    }
+
+    #[test]
+    fn a_joined_part_holds_both() {
+        let (a, b) = (Part { origin: (16, 32), size: (64, 16) }, Part { origin: (48, 0), size: (16, 96) });
+        let joined = Part { origin: (16, 0), size: (64, 96) };
+        assert_eq!((a.joined(b), b.joined(a), a.joined(a)), (joined, joined, a));
     }
 
     #[test]

@@ -5,6 +5,7 @@ use mr360_shaders::source::Surface;
 
 use super::extent::Part;
 use super::pipelines::{Kind, Use};
+use super::recipe::multiview_mask;
 use super::resources::VIEW_STRIDE;
 use super::{FrameReport, GLASS, Renderer, View, depth_attachment, draw_part, look_into, stage};
 use crate::environment::Environment;
@@ -49,6 +50,7 @@ impl Renderer {
             })],
             depth_stencil_attachment: Some(depth_attachment(&glass.back_depth, 0.0, wgpu::StoreOp::Discard)),
             timestamp_writes: self.timer.begin(GLASS[at]),
+            multiview_mask: multiview_mask(kind.views),
             ..wgpu::RenderPassDescriptor::default()
         });
         look_into(&mut pass, view, part);
@@ -92,6 +94,7 @@ impl Renderer {
                 stencil_ops: None,
             }),
             timestamp_writes: self.timer.end(),
+            multiview_mask: multiview_mask(kind.views),
             ..wgpu::RenderPassDescriptor::default()
         });
         look_into(&mut pass, view, part);
@@ -101,7 +104,7 @@ impl Renderer {
         for draw in self.stage.draws.iter().filter(|draw| is_glass(draw)) {
             report.draws += self.draw_object(&mut pass, kind, draw);
         }
-        let (_, nearer) = self.stage.blended(view.camera.position);
+        let (_, nearer) = self.stage.blended(self.between);
         if !nearer.is_empty() {
             pass.set_bind_group(0, &self.resources.frame, &[at as u32 * VIEW_STRIDE]);
         }

@@ -2,21 +2,105 @@
 
 use mr360_shaders::source::Alpha;
 
-use super::extent::Part;
+use super::background::{Background, pixel_rad, rays};
+use super::extent::{Part, touched};
 use super::glass::is_glass;
 use super::pipelines::{Kind, Use};
 use super::plan::Plan;
+use super::recipe::multiview_mask;
 use super::resources::{Layer, VIEW_STRIDE};
 use super::room::Room;
 use super::{COMPOSITE, FrameReport, OBJECTS, Renderer, View, depth_attachment, draw_part, look_into, object_use, stage};
 use crate::environment::Environment;
 use crate::gpu::Gpu;
+use crate::scene::mesh::Bounds;
+
+/// What all views of a frame show.
+pub(super) struct Shown {
+    /// Of the background's dome, where it has one.
+    pub(super) dome_m: Option<f32>,
+    /// What objects can change of ground and place.
+    pub(super) ground: Option<Bounds>,
+    pub(super) changed_place: Vec<Bounds>,
+}
 
 impl Renderer {
+    /// Layers and composite of one view.
+    pub(super) fn draw_view(
+        &mut self,
+        gpu: &Gpu,
+        (encoder, environment): (&mut wgpu::CommandEncoder, &Environment),
+        kind: Kind,
+        (at, view): (usize, &View<'_>),
+        shown: &Shown,
+        report: &mut FrameReport,
+    ) {
+        let part = self.part(view, kind, report.plan, shown);
+        self.write_view(gpu, environment, (at, view), part, shown);
+        self.draw_recorded(gpu, (encoder, environment), kind, (at, view, part), shown, report);
+    }
+
+    /// What of a view is in its layer.
+    pub(super) fn part(&self, view: &View<'_>, kind: Kind, plan: Plan, shown: &Shown) -> Option<Part> {
+        match kind.place && kind.parallax {
+            // All of it, so that pixels lie in it as they do without objects.
+            true => Some(Part { origin: (0, 0), size: view.size }),
+            false if plan.objects => touched(&view.camera, view.size, &self.stage, (self.ground_seen(view, shown), &shown.changed_place)),
+            false => None,
+        }
+    }
+
+    /// From beneath there is no ground to see.
+    fn ground_seen(&self, view: &View<'_>, shown: &Shown) -> Option<Bounds> {
+        shown.ground.filter(|_| view.camera.position.y > self.stage.ground_y)
+    }
+
+    pub(super) fn write_view(
+        &self,
+        gpu: &Gpu,
+        environment: &Environment,
+        (at, view): (usize, &View<'_>),
+        part: Option<Part>,
+        shown: &Shown,
+    ) {
+        let rays = if self.fine { rays(environment.texels(pixel_rad(view))) } else { 1 };
+        let background = Background { dome_m: shown.dome_m.unwrap_or_default(), rays };
+        self.resources.write_view(gpu, at, (view, background), part.unwrap_or_default());
+    }
+
+    /// Layers and composite of a view, or of two by one pass, whose uniforms have been written from `at` on.
+    pub(super) fn draw_recorded(
+        &mut self,
+        gpu: &Gpu,
+        (encoder, environment): (&mut wgpu::CommandEncoder, &Environment),
+        kind: Kind,
+        (at, view, part): (usize, &View<'_>, Option<Part>),
+        shown: &Shown,
+        report: &mut FrameReport,
+    ) {
+        let plan = report.plan;
+        let ground = self.ground_seen(view, shown).is_some();
+        self.drawn.push(part.is_some());
+        if let Some(part) = part {
+            self.make_layer(gpu, (at, kind.views), (part, view.size), plan);
+            if plan.ground_mirrors && ground {
+                if kind.views == 1 {
+                    self.resources.write_mirrored_view(gpu, at, view, part, self.stage.ground_y);
+                }
+                self.draw_mirror(encoder, environment, kind, (at, view, part), report);
+            }
+            self.draw_layer(encoder, environment, kind, (at, view, part), ground, report);
+            if plan.glass {
+                self.draw_glass(gpu, encoder, environment, kind, (at, view, part), report);
+            }
+        }
+        self.composite(encoder, environment, kind, (at, view), part.is_some(), report);
+    }
+
     /// The layer's targets, kept while they hold the part and are not far too large for it.
-    pub(super) fn make_layer(&mut self, gpu: &Gpu, at: usize, (part, image): (Part, (u32, u32)), plan: Plan) {
+    pub(super) fn make_layer(&mut self, gpu: &Gpu, (at, views): (usize, u32), (part, image): (Part, (u32, u32)), plan: Plan) {
         let (glass, mirror) = (plan.glass, plan.ground_mirrors);
-        let make = |room: &Room| Layer::new(&gpu.device, &self.layouts, room.size(), self.samples, (glass, mirror));
+        let make = |room: &Room| Layer::new(&gpu.device, &self.layouts, (room.size(), views), self.samples, (glass, mirror));
         // Views before this one may have had nothing to draw.
         while self.layers.len() <= at {
             let mut room = Room::default();
@@ -24,7 +108,7 @@ impl Renderer {
             self.layers.push((room, make(&room)));
         }
         if let Some((room, layer)) = self.layers.get_mut(at)
-            && (room.make(part.size, image) || layer.glass.is_some() != glass || layer.mirror.is_some() != mirror)
+            && (room.make(part.size, image) || layer.views != views || layer.glass.is_some() != glass || layer.mirror.is_some() != mirror)
         {
             *layer = make(room);
         }
@@ -60,6 +144,7 @@ impl Renderer {
             })],
             depth_stencil_attachment: Some(depth_attachment(&layer.depth, 0.0, depth_store)),
             timestamp_writes: self.timer.pass(OBJECTS[at]),
+            multiview_mask: multiview_mask(kind.views),
             ..wgpu::RenderPassDescriptor::default()
         });
         look_into(&mut pass, view, part);
@@ -89,7 +174,7 @@ impl Renderer {
             }
         }
         // Over all that covers, ground too, which writes what is changed and not what is added to it.
-        for draw in self.stage.blended(view.camera.position).0.into_iter().filter(|_| objects) {
+        for draw in self.stage.blended(self.between).0.into_iter().filter(|_| objects) {
             report.draws += self.draw_object(&mut pass, kind, draw);
         }
     }
@@ -123,6 +208,7 @@ impl Renderer {
                 ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::BLACK), store: wgpu::StoreOp::Store },
             })],
             timestamp_writes: self.timer.pass(COMPOSITE[at]),
+            multiview_mask: multiview_mask(kind.views),
             ..wgpu::RenderPassDescriptor::default()
         });
         let layer = self.layers.get(at).filter(|_| drawn).map_or(&self.resources.no_layer, |(_, layer)| &layer.group);

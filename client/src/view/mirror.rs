@@ -10,7 +10,8 @@ use mr360_shaders::source::Alpha;
 use super::extent::Part;
 use super::glass::is_glass;
 use super::pipelines::{DEPTH_FORMAT, Kind, Layouts, MIRROR_FORMATS, Use};
-use super::resources::{VIEW_STRIDE, texture, texture_view};
+use super::recipe::multiview_mask;
+use super::resources::{VIEW_STRIDE, by_view, texture, texture_view};
 use super::stage::{Draw, Stage};
 use super::{FrameReport, MAX_VIEWS, MIRROR, Renderer, View, depth_attachment, draw_part, look_into};
 use crate::environment::Environment;
@@ -75,19 +76,19 @@ pub(super) struct MirrorLayer {
 }
 
 impl MirrorLayer {
-    /// For a layer of this size; `samples` to a pixel.
-    pub(super) fn new(device: &wgpu::Device, layouts: &Layouts, size: (u32, u32), samples: u32) -> Self {
+    /// For a layer of this size and so many views; `samples` to a pixel.
+    pub(super) fn new(device: &wgpu::Device, layouts: &Layouts, (size, views): ((u32, u32), u32), samples: u32) -> Self {
         // Levels halve without a rest.
         let whole = |side: u32| side.next_multiple_of(1 << (LEVELS - 1));
         let size = (whole(size.0), whole(size.1));
         let attachment = wgpu::TextureUsages::RENDER_ATTACHMENT;
-        let make = |label, levels, samples, format, usage| texture(device, (label, levels), size, 1, samples, format, usage);
+        let make = |label, levels, samples, format, usage| texture(device, (label, levels), size, views, samples, format, usage);
         let bound = attachment | wgpu::TextureUsages::TEXTURE_BINDING;
         let textures = MIRROR_FORMATS.map(|format| make("mirror", LEVELS, 1, format, bound));
         let level = |base_mip_level: u32| {
-            textures.each_ref().map(|texture| {
-                texture.create_view(&wgpu::TextureViewDescriptor { base_mip_level, mip_level_count: Some(1), ..Default::default() })
-            })
+            let dimension = Some(wgpu::TextureViewDimension::D2Array);
+            let one = wgpu::TextureViewDescriptor { dimension, base_mip_level, mip_level_count: Some(1), ..Default::default() };
+            textures.each_ref().map(|texture| texture.create_view(&one))
         };
         let levels: Vec<_> = (0..LEVELS).map(level).collect();
         let sampler = device.create_sampler(&wgpu::SamplerDescriptor {
@@ -110,7 +111,7 @@ impl MirrorLayer {
                 .then(|| MIRROR_FORMATS.map(|format| texture_view(&make("mirror samples", 1, samples, format, attachment)))),
             depth: texture_view(&make("mirror depth", 1, samples, DEPTH_FORMAT, attachment)),
             halving: levels.iter().take(levels.len() - 1).map(group).collect(),
-            group: group(&textures.each_ref().map(texture_view)),
+            group: group(&textures.each_ref().map(by_view)),
             levels,
         }
     }
@@ -141,13 +142,14 @@ impl Renderer {
             color_attachments: &[target(0), target(1)],
             depth_stencil_attachment: Some(depth_attachment(&mirror.depth, 0.0, wgpu::StoreOp::Discard)),
             timestamp_writes: self.timer.begin(MIRROR[at]),
+            multiview_mask: multiview_mask(kind.views),
             ..wgpu::RenderPassDescriptor::default()
         });
         look_into(&mut pass, view, part);
         pass.set_bind_group(0, &self.resources.frame, &[(MAX_VIEWS + at) as u32 * VIEW_STRIDE]);
         pass.set_bind_group(1, environment.bind_group(), &[]);
         pass.set_bind_group(2, environment.reflection_bind_group(), &[]);
-        let image = reflection(self.stage.ground_y).transform_point3(view.camera.position);
+        let image = reflection(self.stage.ground_y).transform_point3(self.between);
         let solid = self.stage.draws.iter().filter(|draw| draw.look.alpha != Alpha::Blend && !is_glass(draw));
         let (far, near) = self.stage.blended(image);
         for draw in solid {
@@ -189,6 +191,7 @@ impl Renderer {
                 label: Some(MIRROR[at]),
                 color_attachments: &[attach(&target[0]), attach(&target[1])],
                 timestamp_writes: if last { self.timer.end() } else { None },
+                multiview_mask: multiview_mask(kind.views),
                 ..wgpu::RenderPassDescriptor::default()
             });
             pass.set_pipeline(pipeline);

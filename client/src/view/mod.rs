@@ -31,6 +31,7 @@ mod models;
 mod moving;
 #[cfg(test)]
 mod moving_tests;
+mod multiview;
 pub mod parallax;
 #[cfg(test)]
 mod parallax_tests;
@@ -68,7 +69,6 @@ use crate::camera::Camera;
 use crate::environment::{Environment, FrameLight};
 use crate::governor::Tier;
 use crate::gpu::{Gpu, GpuError};
-use crate::scene::mesh::Bounds;
 use crate::scene::model::LoadedModel;
 use crate::scene::pick::{Ray, Target, nearest, nearest_to};
 use crate::stats::PassTime;
@@ -80,10 +80,11 @@ pub use pipelines::DEPTH_FORMAT;
 pub use plan::Plan;
 pub use stage::{Element, ModelFault, SceneWarning};
 
-use background::{Background, pixel_rad, rays};
+use background::pixel_rad;
 use depth::DepthPass;
-use extent::{Part, touched};
+use extent::Part;
 use glass::is_glass;
+use layering::Shown;
 use mirror::mirrored_use;
 use models::Models;
 use pipelines::{Kind, Layouts, Pipelines, Use};
@@ -184,8 +185,14 @@ pub struct Renderer {
     fine: bool,
     /// Of the picture: when its animations are.
     time_us: u64,
-    /// By view.
+    /// By view, or one of both eyes.
     layers: Vec<(Room, Layer)>,
+    /// Both eyes were drawn by one pass.
+    together: bool,
+    /// The background of the last frame had a distance.
+    backed: bool,
+    /// The middle of the views of a frame: what is blended has one order in all of them.
+    between: Vec3,
     /// By view, whether anything was drawn in the last frame.
     drawn: Vec<bool>,
     keeps_depth: bool,
@@ -232,6 +239,9 @@ impl Renderer {
             fine: Resampling::default().is_fine(gpu),
             time_us: 0,
             layers: Vec::new(),
+            together: false,
+            backed: false,
+            between: Vec3::ZERO,
             drawn: Vec::new(),
             keeps_depth: false,
             depth: None,
@@ -355,8 +365,21 @@ impl Renderer {
         environment: &mut Environment,
         views: &[View<'_>],
     ) -> FrameReport {
+        self.record(gpu, encoder, environment, views.get(..MAX_VIEWS).unwrap_or(views), None)
+    }
+
+    /// `both` is where two views are drawn to by one pass.
+    fn record(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        environment: &mut Environment,
+        views: &[View<'_>],
+        both: Option<&wgpu::TextureView>,
+    ) -> FrameReport {
         self.timer.collect(gpu);
-        let views = views.get(..MAX_VIEWS).unwrap_or(views);
+        self.together = both.is_some();
+        self.between = views.iter().map(|view| view.camera.position).sum::<Vec3>() / views.len().max(1) as f32;
         let plan = self.plan(self.tier);
         self.casting.keep(self.current.lights.get(..plan.shadows).unwrap_or_default());
         if std::mem::take(&mut self.light_changed) {
@@ -381,6 +404,7 @@ impl Renderer {
         let mut report = FrameReport { plan, ..FrameReport::default() };
         self.pose(gpu, encoder, plan, views);
         let dome_m = self.parallax.dome_m(environment.is_stereo(), views.iter().map(|view| view.camera.position));
+        self.backed = dome_m.is_some();
         let place = !self.stage.place.draws.is_empty();
         // Then the place is drawn whether or not there are objects, and in the same way.
         let place_shows = dome_m.is_some() && place;
@@ -389,6 +413,7 @@ impl Renderer {
             video: environment.kind(),
             sh_count: self.current.sh_count,
             samples,
+            views: if both.is_some() { views.len() as u32 } else { 1 },
             reflections: self.reflections,
             place,
             parallax: dome_m.is_some(),
@@ -402,49 +427,18 @@ impl Renderer {
             self.layers.clear();
         }
         self.drawn.clear();
-        for (at, view) in views.iter().enumerate() {
-            self.draw_view(gpu, (&mut *encoder, &*environment), kind, (at, view, dome_m), (ground, &changed_place), &mut report);
+        let shown = Shown { dome_m, ground, changed_place };
+        match both {
+            Some(target) => self.draw_both(gpu, (encoder, environment), kind, (views, target), &shown, &mut report),
+            None => {
+                for (at, view) in views.iter().enumerate() {
+                    self.draw_view(gpu, (&mut *encoder, &*environment), kind, (at, view), &shown, &mut report);
+                }
+            }
         }
         self.timer.finish(encoder);
         report.passes = self.timer.latest().to_vec();
         report
-    }
-
-    /// Layers and composite of one view. `ground` and `changed_place` are what of ground and place objects can change.
-    fn draw_view(
-        &mut self,
-        gpu: &Gpu,
-        (encoder, environment): (&mut wgpu::CommandEncoder, &Environment),
-        kind: Kind,
-        (at, view, dome_m): (usize, &View<'_>, Option<f32>),
-        (ground, changed_place): (Option<Bounds>, &[Bounds]),
-        report: &mut FrameReport,
-    ) {
-        let plan = report.plan;
-        // From beneath there is no ground to see.
-        let ground = ground.filter(|_| view.camera.position.y > self.stage.ground_y);
-        let part = match kind.place && kind.parallax {
-            // All of it, so that pixels lie in it as they do without objects.
-            true => Some(Part { origin: (0, 0), size: view.size }),
-            false if plan.objects => touched(&view.camera, view.size, &self.stage, (ground, changed_place)),
-            false => None,
-        };
-        let background =
-            Background { dome_m: dome_m.unwrap_or_default(), rays: if self.fine { rays(environment.texels(pixel_rad(view))) } else { 1 } };
-        self.resources.write_view(gpu, at, (view, background), part.unwrap_or_default());
-        self.drawn.push(part.is_some());
-        if let Some(part) = part {
-            self.make_layer(gpu, at, (part, view.size), plan);
-            if plan.ground_mirrors && ground.is_some() {
-                self.resources.write_mirrored_view(gpu, at, view, part, self.stage.ground_y);
-                self.draw_mirror(encoder, environment, kind, (at, view, part), report);
-            }
-            self.draw_layer(encoder, environment, kind, (at, view, part), ground.is_some(), report);
-            if plan.glass {
-                self.draw_glass(gpu, encoder, environment, kind, (at, view, part), report);
-            }
-        }
-        self.composite(encoder, environment, kind, (at, view), part.is_some(), report);
     }
 
     /// Makes what pipelines this frame needs and earlier ones did not.

@@ -45,13 +45,33 @@ pub(super) struct Pipelines {
     cutout: wgpu::ShaderModule,
     /// Casters with holes, by what of their looks counts.
     cutouts: HashMap<Look, wgpu::RenderPipeline>,
+    /// For passes of one view.
+    one: Drawn,
+    /// For passes of both eyes' views, once they are wanted.
+    both: Option<Drawn>,
+    target: wgpu::TextureFormat,
+    made: HashMap<(Kind, Use), wgpu::RenderPipeline>,
+}
+
+/// Shaders of what views show.
+pub(super) struct Drawn {
     object: wgpu::ShaderModule,
     glass: wgpu::ShaderModule,
     pub(super) ground: wgpu::ShaderModule,
     pub(super) mirror_mip: wgpu::ShaderModule,
     composite: wgpu::ShaderModule,
-    target: wgpu::TextureFormat,
-    made: HashMap<(Kind, Use), wgpu::RenderPipeline>,
+}
+
+impl Drawn {
+    fn new(make: impl Fn(Module) -> Result<wgpu::ShaderModule, GpuError>) -> Result<Self, GpuError> {
+        Ok(Self {
+            object: make(Module::Object)?,
+            glass: make(Module::Glass)?,
+            ground: make(Module::Ground)?,
+            mirror_mip: make(Module::MirrorMip)?,
+            composite: make(Module::Composite)?,
+        })
+    }
 }
 
 /// What stays for a whole stream.
@@ -62,6 +82,8 @@ pub(super) struct Kind {
     pub(super) sh_count: usize,
     /// A pixel of objects and ground.
     pub(super) samples: u32,
+    /// That a pass draws, 1 or 2.
+    pub(super) views: u32,
     pub(super) reflections: Reflections,
     /// The scene has meshes of the place.
     pub(super) place: bool,
@@ -132,13 +154,14 @@ impl Layouts {
             buffer_entry(3, uniform, false),
         ];
         let [view, lighting, instances, occluders] = shared;
-        let unfiltered = wgpu::BindGroupLayoutEntry {
+        // Of layers by view.
+        let by_view = |binding, filterable| wgpu::BindGroupLayoutEntry {
             ty: wgpu::BindingType::Texture {
-                sample_type: wgpu::TextureSampleType::Float { filterable: false },
-                view_dimension: wgpu::TextureViewDimension::D2,
+                sample_type: wgpu::TextureSampleType::Float { filterable },
+                view_dimension: wgpu::TextureViewDimension::D2Array,
                 multisampled: false,
             },
-            ..texture_entry(0)
+            ..texture_entry(binding)
         };
         let depth_samples = wgpu::BindingType::Texture {
             sample_type: wgpu::TextureSampleType::Depth,
@@ -156,15 +179,16 @@ impl Layouts {
                     occluders,
                     shadow_maps,
                     shadow_sampler,
-                    wgpu::BindGroupLayoutEntry { binding: 6, ..unfiltered },
-                    wgpu::BindGroupLayoutEntry { binding: 7, ty: depth_samples, ..unfiltered },
-                    wgpu::BindGroupLayoutEntry { binding: 8, ..unfiltered },
+                    by_view(6, false),
+                    wgpu::BindGroupLayoutEntry { ty: depth_samples, ..texture_entry(7) },
+                    by_view(8, false),
+                    wgpu::BindGroupLayoutEntry { ty: depth_samples, ..texture_entry(9) },
                 ],
             ),
             casters: make("casters", &[instances]),
             caster: make("caster", &[buffer_entry(0, uniform, true)]),
-            layer: make("layer", &[unfiltered]),
-            mirror: make("mirror", &[texture_entry(0), texture_entry(1), sampler_entry(2)]),
+            layer: make("layer", &[by_view(0, false)]),
+            mirror: make("mirror", &[by_view(0, true), by_view(1, true), sampler_entry(2)]),
             material: make("material", &layout_entries()),
         }
     }
@@ -207,6 +231,7 @@ impl Pipelines {
             cull: None,
             depth: Some(caster_depth()),
             samples: 1,
+            views: 1,
             constants: &[],
         };
         let sheer = Recipe { label: "sheer caster", vertex: "vs_sheer", fragment: Some(("fs_sheer", None)), ..casters.clone() };
@@ -216,14 +241,30 @@ impl Pipelines {
             sheer_caster: build(gpu, &module, &sheer),
             cutout: gpu.shader(Module::Cutout)?,
             cutouts: HashMap::new(),
-            object: gpu.shader(Module::Object)?,
-            glass: gpu.shader(Module::Glass)?,
-            ground: gpu.shader(Module::Ground)?,
-            mirror_mip: gpu.shader(Module::MirrorMip)?,
-            composite: gpu.shader(Module::Composite)?,
+            one: Drawn::new(|module| gpu.shader(module))?,
+            both: None,
             target,
             made: HashMap::new(),
         })
+    }
+
+    /// Has passes of both eyes' views, which the device can draw.
+    ///
+    /// # Errors
+    /// [`GpuError::Shader`] when the build lacks a shader file.
+    pub(super) fn draw_both(&mut self, gpu: &Gpu) -> Result<(), GpuError> {
+        self.both = Some(Drawn::new(|module| gpu.multiview_shader(module))?);
+        Ok(())
+    }
+
+    /// True when there are passes of both eyes' views.
+    pub(super) fn draws_both(&self) -> bool {
+        self.both.is_some()
+    }
+
+    /// Shaders for passes of this kind.
+    pub(super) fn drawn(&self, kind: Kind) -> &Drawn {
+        self.both.as_ref().filter(|_| kind.views > 1).unwrap_or(&self.one)
     }
 
     /// Makes a pipeline unless it is there.
@@ -252,6 +293,7 @@ impl Pipelines {
             cull: None,
             depth: Some(caster_depth()),
             samples: 1,
+            views: 1,
             constants: &look.cutout_constants(),
         };
         self.cutouts.insert(look, build(gpu, &self.cutout, &recipe));
@@ -280,9 +322,9 @@ impl Pipelines {
         match what {
             Use::Object { surface, look, double_sided } => self.object(gpu, &groups, kind, (surface, look, double_sided), false),
             Use::Mirrored { surface, look, double_sided } => self.object(gpu, &groups, kind, (surface, look, double_sided), true),
-            Use::MirrorMip => self.mirror_mip(gpu, layouts),
+            Use::MirrorMip => self.mirror_mip(gpu, layouts, kind),
             Use::Glass { look } => self.glass(gpu, &groups, kind, look),
-            Use::GlassBack => self.glass_back(gpu, &groups),
+            Use::GlassBack => self.glass_back(gpu, &groups, kind),
             Use::Ground { .. } | Use::Place { .. } | Use::PlaceMirrored | Use::Horizon => self.ground(gpu, &groups, kind, what),
             Use::Composite => self.composite(gpu, &groups, kind),
         }
@@ -312,9 +354,10 @@ impl Pipelines {
             cull: (!double_sided).then_some(wgpu::Face::Back),
             depth: Some(wgpu::DepthStencilState { depth_write_enabled: Some(look.alpha != Alpha::Blend), ..nearer() }),
             samples: kind.samples,
+            views: kind.views,
             constants: &constants,
         };
-        build(gpu, &self.object, &recipe)
+        build(gpu, &self.drawn(kind).object, &recipe)
     }
 
     fn glass(&self, gpu: &Gpu, groups: &Groups<'_>, kind: Kind, look: Look) -> wgpu::RenderPipeline {
@@ -335,12 +378,13 @@ impl Pipelines {
             cull: Some(wgpu::Face::Back),
             depth: Some(nearer()),
             samples: kind.samples,
+            views: kind.views,
             constants: &constants,
         };
-        build(gpu, &self.glass, &recipe)
+        build(gpu, &self.drawn(kind).glass, &recipe)
     }
 
-    fn glass_back(&self, gpu: &Gpu, groups: &Groups<'_>) -> wgpu::RenderPipeline {
+    fn glass_back(&self, gpu: &Gpu, groups: &Groups<'_>, kind: Kind) -> wgpu::RenderPipeline {
         let recipe = Recipe {
             label: "glass, far sides",
             vertex: "vs_object",
@@ -354,9 +398,10 @@ impl Pipelines {
             cull: Some(wgpu::Face::Front),
             depth: Some(nearer()),
             samples: 1,
+            views: kind.views,
             constants: &[],
         };
-        build(gpu, &self.glass, &recipe)
+        build(gpu, &self.drawn(kind).glass, &recipe)
     }
 
     fn composite(&self, gpu: &Gpu, groups: &Groups<'_>, kind: Kind) -> wgpu::RenderPipeline {
@@ -378,9 +423,10 @@ impl Pipelines {
             cull: None,
             depth: None,
             samples: 1,
+            views: kind.views,
             constants: &constants,
         };
-        build(gpu, &self.composite, &recipe)
+        build(gpu, &self.drawn(kind).composite, &recipe)
     }
 }
 

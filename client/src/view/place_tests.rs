@@ -8,8 +8,10 @@ use glam::{Quat, Vec3};
 use mr360_protocol::asset::AssetId;
 use mr360_protocol::scene::{Gloss, PlaceMesh, Scene, Shape, Transform};
 
+use super::extent::touched;
 use super::shadow_tests::{Eye, GROUND_Y, RAYS, Solid, light, seen_of_light, towards};
 use super::*;
+use crate::scene::mesh::Bounds;
 use crate::scene::model::Model;
 use crate::scene::shapes;
 

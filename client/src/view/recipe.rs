@@ -1,5 +1,7 @@
 //! How pipelines of the view passes are put together.
 
+use std::num::NonZeroU32;
+
 use mr360_shaders::layout::{Detail, Vertex};
 
 use super::pipelines::DEPTH_FORMAT;
@@ -24,6 +26,8 @@ pub(super) struct Recipe<'a> {
     pub(super) cull: Option<wgpu::Face>,
     pub(super) depth: Option<wgpu::DepthStencilState>,
     pub(super) samples: u32,
+    /// That a pass draws, 1 or 2.
+    pub(super) views: u32,
     /// Of the fragment shader.
     pub(super) constants: &'a [(&'a str, f64)],
 }
@@ -69,9 +73,14 @@ pub(super) fn build(gpu: &Gpu, module: &wgpu::ShaderModule, recipe: &Recipe<'_>)
             compilation_options: wgpu::PipelineCompilationOptions { constants: recipe.constants, ..Default::default() },
             targets: &targets,
         }),
-        multiview_mask: None,
+        multiview_mask: multiview_mask(recipe.views),
         cache: None,
     })
+}
+
+/// Of a pass that draws so many views; none for one.
+pub(super) fn multiview_mask(views: u32) -> Option<NonZeroU32> {
+    NonZeroU32::new((1 << views) - 1).filter(|_| views > 1)
 }
 
 pub(super) fn depth(compare: wgpu::CompareFunction, bias: wgpu::DepthBiasState) -> wgpu::DepthStencilState {

@@ -4,7 +4,7 @@ use bytemuck::Zeroable;
 use glam::{Mat4, Vec3};
 use mr360_protocol::light::{DirectionalLight, SAME_LIGHT_COS};
 use mr360_shaders::layout::{self, MAX_OCCLUDERS, SHADOW_MAP_SIZE};
-use mr360_shaders::sh;
+use mr360_shaders::{multiview, sh};
 
 use super::background::{Background, view_uniform};
 use super::extent::Part;
@@ -19,8 +19,7 @@ use crate::environment::light::{map_cut, tan_radius};
 use crate::gpu::Gpu;
 use crate::scene::mesh::Bounds;
 
-/// Bytes from one view's uniform to the next: WebGPU's alignment of dynamic offsets.
-pub(super) const VIEW_STRIDE: u32 = 256;
+pub(super) use mr360_shaders::multiview::VIEW_STRIDE;
 
 /// Everything that lives as long as the renderer, whatever is drawn.
 pub(super) struct Resources {
@@ -75,9 +74,22 @@ pub(super) fn texture_view(texture: &wgpu::Texture) -> wgpu::TextureView {
     texture.create_view(&wgpu::TextureViewDescriptor::default())
 }
 
+/// Of all layers of a texture, to be looked up by view.
+pub(super) fn by_view(texture: &wgpu::Texture) -> wgpu::TextureView {
+    let dimension = Some(wgpu::TextureViewDimension::D2Array);
+    texture.create_view(&wgpu::TextureViewDescriptor { dimension, ..Default::default() })
+}
+
+/// Of one layer of a texture.
+pub(super) fn one_layer(texture: &wgpu::Texture, base_array_layer: u32) -> wgpu::TextureView {
+    let (dimension, array_layer_count) = (Some(wgpu::TextureViewDimension::D2), Some(1));
+    texture.create_view(&wgpu::TextureViewDescriptor { dimension, base_array_layer, array_layer_count, ..Default::default() })
+}
+
 impl Resources {
     pub(super) fn new(device: &wgpu::Device, layouts: &Layouts) -> Self {
-        let views = buffer(device, "views", 2 * MAX_VIEWS * VIEW_STRIDE as usize, wgpu::BufferUsages::UNIFORM);
+        // A pass of both eyes sees the view after its own, too.
+        let views = buffer(device, "views", (2 * MAX_VIEWS + 1) * VIEW_STRIDE as usize, wgpu::BufferUsages::UNIFORM);
         let lighting = buffer(device, "lighting", size_of::<layout::Lighting>(), wgpu::BufferUsages::UNIFORM);
         let instances = buffer(device, "instances", size_of::<layout::Instance>() * 16, wgpu::BufferUsages::STORAGE);
         let occluders = buffer(device, "occluders", size_of::<layout::Occluder>() * MAX_OCCLUDERS, wgpu::BufferUsages::UNIFORM);
@@ -97,7 +109,7 @@ impl Resources {
         });
         // A fresh texture is zero: nothing drawn.
         let empty = texture(device, ("no layer", 1), (1, 1), 1, 1, LAYER_FORMAT, wgpu::TextureUsages::TEXTURE_BINDING);
-        let no_layer = layer_group(device, &layouts.layer, &texture_view(&empty));
+        let no_layer = layer_group(device, &layouts.layer, &by_view(&empty));
         let shared = (&views, &lighting, &instances, &occluders);
         let frame = frame_group(device, &layouts.frame, shared, &shadow_maps, &shadow_sampler);
         let caster_instances = instances_group(device, &layouts.casters, &instances);
@@ -252,12 +264,8 @@ fn lighting(stage: &Stage, (light, picture): (&FrameLight, &FrameLight), frusta:
 fn shadow_targets(device: &wgpu::Device, count: usize) -> (wgpu::TextureView, Vec<wgpu::TextureView>) {
     let attachment = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
     let maps = texture(device, ("shadow maps", 1), (SHADOW_MAP_SIZE, SHADOW_MAP_SIZE), count as u32, 1, DEPTH_FORMAT, attachment);
-    let all = maps.create_view(&wgpu::TextureViewDescriptor { dimension: Some(wgpu::TextureViewDimension::D2Array), ..Default::default() });
-    let layer = |base_array_layer| {
-        let dimension = Some(wgpu::TextureViewDimension::D2);
-        maps.create_view(&wgpu::TextureViewDescriptor { dimension, base_array_layer, array_layer_count: Some(1), ..Default::default() })
-    };
-    (all, (0..count as u32).map(layer).collect())
+    let all = by_view(&maps);
+    (all, (0..count as u32).map(|layer| one_layer(&maps, layer)).collect())
 }
 
 fn slot(buffer: &wgpu::Buffer, size: usize) -> wgpu::BindingResource<'_> {
@@ -281,7 +289,7 @@ fn frame_entries<'a>(
     shadow_sampler: &'a wgpu::Sampler,
 ) -> [wgpu::BindGroupEntry<'a>; 6] {
     [
-        wgpu::BindGroupEntry { binding: 0, resource: slot(views, size_of::<layout::View>()) },
+        wgpu::BindGroupEntry { binding: 0, resource: slot(views, (multiview::VIEWS * VIEW_STRIDE) as usize) },
         wgpu::BindGroupEntry { binding: 1, resource: lighting.as_entire_binding() },
         wgpu::BindGroupEntry { binding: 2, resource: instances.as_entire_binding() },
         wgpu::BindGroupEntry { binding: 3, resource: occluders.as_entire_binding() },
@@ -291,10 +299,11 @@ fn frame_entries<'a>(
 }
 
 /// Group 0 of glass: the frame's, and what was drawn before.
-fn glass_entries<'a>(frame: [wgpu::BindGroupEntry<'a>; 6], glass: &'a GlassLayer) -> [wgpu::BindGroupEntry<'a>; 9] {
+fn glass_entries<'a>(frame: [wgpu::BindGroupEntry<'a>; 6], glass: &'a GlassLayer) -> [wgpu::BindGroupEntry<'a>; 10] {
     let view = |binding, view| wgpu::BindGroupEntry { binding, resource: wgpu::BindingResource::TextureView(view) };
     let [a, b, c, d, e, f] = frame;
-    [a, b, c, d, e, f, view(6, &glass.drawn), view(7, &glass.drawn_depth_view), view(8, &glass.back)]
+    let [depth, beside] = &glass.drawn_depths;
+    [a, b, c, d, e, f, view(6, &glass.drawn), view(7, depth), view(8, &glass.back), view(9, beside)]
 }
 
 fn instances_group(device: &wgpu::Device, layout: &wgpu::BindGroupLayout, instances: &wgpu::Buffer) -> wgpu::BindGroup {
@@ -307,8 +316,9 @@ fn layer_group(device: &wgpu::Device, layout: &wgpu::BindGroupLayout, layer: &wg
     device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some("layer"), layout, entries })
 }
 
-/// Targets of one view's objects and ground.
+/// Targets of objects and ground, of one view or of two in layers.
 pub(super) struct Layer {
+    pub(super) views: u32,
     /// Where there are more than one a pixel.
     pub(super) samples: Option<wgpu::TextureView>,
     pub(super) resolved: wgpu::TextureView,
@@ -326,7 +336,8 @@ pub(super) struct GlassLayer {
     /// All that was drawn before, resolved.
     pub(super) drawn: wgpu::TextureView,
     drawn_depth: wgpu::Texture,
-    drawn_depth_view: wgpu::TextureView,
+    /// Of either view.
+    drawn_depths: [wgpu::TextureView; 2],
     /// The glass's own far sides.
     pub(super) back: wgpu::TextureView,
     pub(super) back_depth: wgpu::TextureView,
@@ -335,33 +346,45 @@ pub(super) struct GlassLayer {
 }
 
 impl Layer {
-    pub(super) fn new(device: &wgpu::Device, layouts: &Layouts, size: (u32, u32), count: u32, (glass, mirror): (bool, bool)) -> Self {
+    pub(super) fn new(
+        device: &wgpu::Device,
+        layouts: &Layouts,
+        (size, views): ((u32, u32), u32),
+        count: u32,
+        (glass, mirror): (bool, bool),
+    ) -> Self {
         let attachment = wgpu::TextureUsages::RENDER_ATTACHMENT;
         let bound = wgpu::TextureUsages::TEXTURE_BINDING;
-        let make = |label, samples, format, usage| texture(device, (label, 1), size, 1, samples, format, usage);
+        let make = |label, samples, format, usage| texture(device, (label, 1), size, views, samples, format, usage);
         let view = texture_view;
-        let resolved = view(&make("layer", 1, LAYER_FORMAT, attachment | bound));
+        let resolved = by_view(&make("layer", 1, LAYER_FORMAT, attachment | bound));
         let depth_texture = make("layer depth", count, DEPTH_FORMAT, attachment | bound | wgpu::TextureUsages::COPY_SRC);
         let glass = glass.then(|| {
             let drawn_depth = make("drawn depth", count, DEPTH_FORMAT, wgpu::TextureUsages::COPY_DST | attachment | bound);
             GlassLayer {
-                drawn: view(&make("drawn", 1, LAYER_FORMAT, attachment | bound)),
-                drawn_depth_view: view(&drawn_depth),
+                drawn: by_view(&make("drawn", 1, LAYER_FORMAT, attachment | bound)),
+                drawn_depths: [0, views - 1].map(|layer| one_layer(&drawn_depth, layer)),
                 drawn_depth,
-                back: view(&make("glass, far sides", 1, BACK_FORMAT, attachment | bound)),
+                back: by_view(&make("glass, far sides", 1, BACK_FORMAT, attachment | bound)),
                 back_depth: view(&make("glass, far depth", 1, DEPTH_FORMAT, attachment)),
                 group: None,
             }
         });
         Self {
+            views,
             samples: (count > 1).then(|| view(&make("layer samples", count, LAYER_FORMAT, attachment))),
             depth: view(&depth_texture),
             depth_texture,
             group: layer_group(device, &layouts.layer, &resolved),
             resolved,
             glass,
-            mirror: mirror.then(|| MirrorLayer::new(device, layouts, size, count)),
+            mirror: mirror.then(|| MirrorLayer::new(device, layouts, (size, views), count)),
         }
+    }
+
+    /// Depth of one of its views.
+    pub(super) fn depth_of(&self, view: u32) -> wgpu::TextureView {
+        one_layer(&self.depth_texture, view.min(self.views - 1))
     }
 
     /// Records that glass sees the depth of all that was drawn so far.

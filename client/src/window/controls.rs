@@ -270,6 +270,11 @@ impl Controls {
         open
     }
 
+    /// Name of the item about to be put.
+    pub(super) fn in_hand<'a>(&self, world: &'a impl World) -> Option<&'a str> {
+        Some(&world.library().get(self.palette.item()?)?.name)
+    }
+
     /// What this viewer alone sees: the item about to be put.
     pub(super) fn drawn(&mut self, world: &impl World) -> Vec<LocalObject> {
         self.palette.keep_to(world.library());

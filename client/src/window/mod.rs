@@ -85,7 +85,8 @@ pub enum WindowError {
 pub type Open<'a, S> = dyn FnMut(Arc<Window>) -> Result<WindowGraphics<S>, BoxError> + 'a;
 
 /// Shows a window until the user closes it, an end of `options` is reached, or the stream ends; then returns the frames presented.
-/// Call it on the main thread, and once in a program: the window systems ask for both. `act` must not block.
+/// Call it on the main thread, and once in a program: the window systems ask for both. `act` must not block; `events` is the program's event loop,
+/// if it has one already.
 ///
 /// # Errors
 /// [`WindowError::NoDisplay`] before anything was shown; everything else ends a window that was open.
@@ -94,9 +95,9 @@ pub fn run<S: Stage>(
     options: &WindowOptions,
     open: &mut Open<'_, S>,
     act: &mut dyn FnMut(Action),
+    events: Option<EventLoop<()>>,
 ) -> Result<u64, WindowError> {
-    require_display(|name| std::env::var_os(name))?;
-    let event_loop = EventLoop::new().map_err(|error| WindowError::NoDisplay { detail: error.to_string() })?;
+    let event_loop = events.map_or_else(event_loop, Ok)?;
     let first_frame = frames.frames();
     let mut app = App {
         frames,
@@ -118,6 +119,12 @@ pub fn run<S: Stage>(
     Ok(frames.frames() - first_frame)
 }
 
+/// What windows live in. A program makes one.
+pub(crate) fn event_loop() -> Result<EventLoop<()>, WindowError> {
+    require_display(|name| std::env::var_os(name))?;
+    EventLoop::new().map_err(|error| WindowError::NoDisplay { detail: error.to_string() })
+}
+
 /// Says what is missing more clearly than the window system does. `variable` reads the environment.
 fn require_display(variable: impl Fn(&str) -> Option<OsString>) -> Result<(), WindowError> {
     let set = |name| variable(name).is_some_and(|value| !value.is_empty());
@@ -130,6 +137,8 @@ fn require_display(variable: impl Fn(&str) -> Option<OsString>) -> Result<(), Wi
 /// An open window.
 struct Shown<S> {
     window: Arc<Window>,
+    /// The window's.
+    title: String,
     presenter: SurfacePresenter,
     stage: S,
 }
@@ -155,7 +164,8 @@ impl<S: Stage> App<'_, S> {
         let size = window.inner_size();
         let (presenter, stage) = SurfacePresenter::new(graphics, size.width, size.height)?;
         self.controls.resized(size.width, size.height);
-        self.shown = Some(Shown { window, presenter, stage });
+        let title = String::new();
+        self.shown = Some(Shown { window, title, presenter, stage });
         Ok(())
     }
 
@@ -193,6 +203,14 @@ impl<S: Stage> App<'_, S> {
         if let Some(shown) = &mut self.shown {
             actions.iter().for_each(|action| shown.stage.predict(action, now));
             shown.stage.show_local(&self.controls.drawn(&shown.stage));
+            let title = self
+                .controls
+                .in_hand(&shown.stage)
+                .map_or_else(|| self.options.title.clone(), |item| format!("{item} in hand: click puts it, Esc puts it away"));
+            if shown.title != title {
+                shown.window.set_title(&title);
+                shown.title = title;
+            }
         }
         actions.into_iter().for_each(|action| (self.act)(action));
     }

@@ -93,7 +93,7 @@ impl SurfacePresenter {
         let view = texture.texture.create_view(&wgpu::TextureViewDescriptor::default());
         let (width, height) = (texture.texture.width(), texture.texture.height());
         self.acquired = Some(texture);
-        Ok(Some(Target { view, format: self.configuration.format, depth: None, width, height }))
+        Ok(Some(Target { view, both: None, format: self.configuration.format, depth: None, width, height }))
     }
 }
 

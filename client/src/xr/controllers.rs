@@ -104,14 +104,15 @@ impl Controllers {
             menu: set.create_action("menu", "Library", &paths).map_err(failed)?,
             pulse: set.create_action("pulse", "Pulse", &paths).map_err(failed)?,
         };
+        let mut known = 0;
         for profile in &PROFILES {
             // A runtime need not know every controller there is.
-            if let Err(code) =
-                instance.suggest_interaction_profile_bindings(path(instance, profile.path)?, &actions.bindings(instance, profile)?)
-            {
-                tracing::debug!(controller = profile.path, ?code, "controller not known to the runtime");
+            match instance.suggest_interaction_profile_bindings(path(instance, profile.path)?, &actions.bindings(instance, profile)?) {
+                Ok(()) => known += 1,
+                Err(code) => tracing::info!(controller = profile.path, ?code, "controller not known to the runtime"),
             }
         }
+        tracing::info!("{known} of {} kinds of controllers bound", PROFILES.len());
         session.attach_action_sets(&[&set]).map_err(failed)?;
         let side = |path| -> Result<Side, Fault> {
             Ok(Side {

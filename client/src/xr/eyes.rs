@@ -193,7 +193,7 @@ fn codes(row: &[u8], width: usize, format: wgpu::TextureFormat) -> Vec<u8> {
 mod tests {
     use super::*;
     use crate::camera::Camera;
-    use crate::gpu::Gpu;
+    use crate::gpu::{Gpu, texture_of};
 
     fn kept(frame: u64) -> Kept {
         let views = vec![Viewpoint::of(&Camera::looking(0.0, 0.0, 1.0), 1.0); 2];
@@ -204,19 +204,8 @@ mod tests {
     fn both_layers_reach_the_disk_as_they_were() {
         let gpu = Gpu::headless().unwrap();
         let size = wgpu::Extent3d { width: 5, height: 3, depth_or_array_layers: 2 };
-        let texture = gpu.device.create_texture(&wgpu::TextureDescriptor {
-            label: None,
-            size,
-            mip_level_count: 1,
-            sample_count: 1,
-            dimension: wgpu::TextureDimension::D2,
-            format: wgpu::TextureFormat::Bgra8UnormSrgb,
-            usage: wgpu::TextureUsages::COPY_DST | wgpu::TextureUsages::COPY_SRC | wgpu::TextureUsages::RENDER_ATTACHMENT,
-            view_formats: &[],
-        });
         let texels: Vec<u8> = (0..5 * 3 * 2 * 4).map(|at| at as u8).collect();
-        let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(20), rows_per_image: Some(3) };
-        gpu.queue.write_texture(texture.as_image_copy(), &texels, layout, size);
+        let texture = texture_of(&gpu, size, wgpu::TextureFormat::Bgra8UnormSrgb, &texels);
         let folder = tempfile::tempdir().unwrap();
         let mut recorder = EyeRecorder::start(folder.path()).unwrap();
         assert_eq!(recorder.count(ClientTime(5)), Some(0));

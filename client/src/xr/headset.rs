@@ -13,6 +13,7 @@ use super::layers;
 use super::pace::Pace;
 use super::runtime::{Runtime, VIEWS};
 use super::space::{self, Spaces};
+use super::spectator::Watching;
 use super::swapchain::{self, Content, Swapchain};
 use crate::camera::Camera;
 use crate::frame_loop::{FrameError, HeadsetTimes, PictureTime, Presented, Presenter, Shot, Target};
@@ -52,9 +53,16 @@ struct Begun {
     waits: u64,
 }
 
+/// Who sees what the eyes see.
+pub(super) struct Watchers<'a> {
+    pub(super) spectator: Option<Watching<'a>>,
+    pub(super) eyes: Option<&'a mut EyeRecorder>,
+}
+
 /// A session with a headset.
 pub(super) struct Headset<'a> {
     // Dropped in this order: what is the session's, before it.
+    watchers: Watchers<'a>,
     colour: Swapchain,
     depth: Option<Swapchain>,
     controllers: Controllers,
@@ -66,7 +74,6 @@ pub(super) struct Headset<'a> {
     device: wgpu::Device,
     queue: wgpu::Queue,
     clock: ClientClock,
-    eyes: Option<&'a mut EyeRecorder>,
     running: bool,
     begun: Option<Begun>,
     viewer: &'a mut Viewer,
@@ -87,7 +94,7 @@ impl<'a> Headset<'a> {
         handles: &Handles,
         clock: ClientClock,
         viewer: &'a mut Viewer,
-        eyes: Option<&'a mut EyeRecorder>,
+        watchers: Watchers<'a>,
     ) -> Result<Self, Fault> {
         let (session, waiter, stream) = graphics::begin_session(&runtime, gpu, handles)?;
         let no_format = || Fault::Absent("the headset takes none of sRGB in 8 bits and linear light in 16; update its software".to_owned());
@@ -109,7 +116,7 @@ impl<'a> Headset<'a> {
             device: gpu.device.clone(),
             queue: gpu.queue.clone(),
             clock,
-            eyes,
+            watchers,
             running: false,
             begun: None,
             viewer,
@@ -125,6 +132,9 @@ impl<'a> Headset<'a> {
     /// [`Fault::Lost`] when everything has to be made anew; those of [`Fault::of`].
     pub(super) fn listen(&mut self, ground_y: f32) -> Result<Standing, Fault> {
         self.ground_y = ground_y;
+        if let Some(Watching(spectator)) = &mut self.watchers.spectator {
+            spectator.listen();
+        }
         let mut buffer = xr::EventDataBuffer::new();
         let instance = self.runtime.instance.clone();
         while let Some(event) = instance.poll_event(&mut buffer).map_err(|code| Fault::of("listening to the headset", code))? {
@@ -257,9 +267,10 @@ impl<'a> Headset<'a> {
         let shot = |(at, camera): (usize, &Camera)| Shot {
             camera: *camera,
             target: Target {
-                view: targets[at].clone(),
+                view: targets.each[at].clone(),
+                both: Some(targets.both.clone()),
                 format: self.colour.format,
-                depth: depths.map(|depths| depths[at].clone()),
+                depth: depths.map(|depths| depths.each[at].clone()),
                 width,
                 height,
             },
@@ -272,6 +283,9 @@ impl<'a> Headset<'a> {
     fn show(&mut self, shown: PictureTime) -> Result<Presented, Fault> {
         let Some(begun) = self.begun.take() else { return Ok(Presented::default()) };
         self.keep(&begun, shown);
+        let now = self.clock.now();
+        let seen = self.colour.held().zip(self.watchers.spectator.as_mut());
+        let mirrors = seen.is_some_and(|((texture, _), Watching(spectator))| spectator.copy(texture, now));
         let released = |code| Fault::of("giving the headset its pictures", code);
         self.colour.release().map_err(released)?;
         if let Some(depth) = &mut self.depth {
@@ -283,13 +297,16 @@ impl<'a> Headset<'a> {
             .map_err(|code| Fault::of("ending a frame", code))?;
         let pose_to_photon_us = begun.pose_read.and_then(|read| u64::try_from((begun.display.as_nanos() - read.as_nanos()) / 1_000).ok());
         let frame_us = self.clock.now().0.saturating_sub(begun.called_for.0);
+        if let Some(Watching(spectator)) = self.watchers.spectator.as_mut().filter(|_| mirrors) {
+            spectator.show();
+        }
         let headset = HeadsetTimes { pose_to_photon_us, frame_us, missed: self.viewer.pace.missed() };
         Ok(Presented { gpu_waits: begun.waits, headset: Some(headset) })
     }
 
     fn keep(&mut self, begun: &Begun, shown: PictureTime) {
         let now = self.clock.now();
-        let Some((eyes, frame)) = self.eyes.as_mut().and_then(|eyes| eyes.count(now).map(|frame| (eyes, frame))) else { return };
+        let Some((eyes, frame)) = self.watchers.eyes.as_mut().and_then(|eyes| eyes.count(now).map(|frame| (eyes, frame))) else { return };
         let Some((texture, _)) = self.colour.held() else { return };
         let aspect = self.colour.size.0 as f32 / self.colour.size.1 as f32;
         let views = begun.cameras.iter().map(|camera| Viewpoint::of(camera, aspect)).collect();

@@ -13,6 +13,7 @@ mod layers;
 mod pace;
 mod runtime;
 mod space;
+mod spectator;
 mod swapchain;
 
 use std::sync::Arc;
@@ -23,10 +24,12 @@ use mr360_protocol::clock::ClientTime;
 use mr360_protocol::intent::Action;
 
 pub use self::eyes::EyeRecorder;
+pub use self::spectator::Spectator;
 
 use self::fault::Fault;
-use self::headset::{Headset, Standing, Viewer};
+use self::headset::{Headset, Standing, Viewer, Watchers};
 use self::runtime::{Loader, Runtime};
+use self::spectator::Watching;
 use crate::camera::Camera;
 use crate::frame_loop::{BoxError, FrameError, FrameLoop, Redraw, Stage};
 use crate::gpu::Gpu;
@@ -82,6 +85,8 @@ pub struct Surroundings<'a, S> {
     pub act: &'a mut dyn FnMut(Action),
     /// Keeps what the eyes saw.
     pub eyes: Option<EyeRecorder>,
+    /// Shows what the left eye sees to those beside.
+    pub spectator: Option<&'a mut Spectator>,
 }
 
 /// Shows frames in a headset until an end of `options` is reached, the stream ends or the user leaves; then returns the frames presented. While
@@ -93,37 +98,56 @@ pub fn run<S: Stage>(frames: &mut FrameLoop, options: &XrOptions, mut surroundin
     let limits = Limits { options, begin: Instant::now(), first_frame: frames.frames() };
     let loader = Loader::load().map_err(given_up)?;
     let mut viewer = Viewer::default();
-    let mut told = None;
-    let mut lost = 0;
+    let mut patience = Patience::default();
     while !limits.are_reached(frames) {
         let before = frames.frames();
         let Err(fault) = session(frames, &limits, &loader, &mut surroundings, &mut viewer) else { break };
         frames.device_lost();
-        if frames.frames() > before {
-            (told, lost) = (None, 0);
-        }
-        let detail = match fault {
-            Fault::Later(detail) => detail,
-            Fault::Lost(detail) | Fault::Frame(FrameError::DeviceLost { detail }) => {
-                // This has happened, even if it happened before.
-                told = None;
-                lost += 1;
-                if lost >= MAX_LOST {
-                    return Err(XrError::NoHeadset { detail: format!("{detail}, {MAX_LOST} times in a row") });
-                }
-                format!("{detail}; opening it anew")
-            }
-            fault => return Err(given_up(fault)),
-        };
-        if told.as_ref() != Some(&detail) {
-            tracing::warn!("{detail}; the broadcast goes on");
-            told = Some(detail);
+        if let Some(news) = patience.after(fault, frames.frames() > before)? {
+            tracing::warn!("{news}; the broadcast goes on");
         }
         if pass_for(frames, &limits, RETRY) {
             break;
         }
     }
     Ok(frames.frames() - limits.first_frame)
+}
+
+/// What to make of sessions that end.
+#[derive(Debug, Default)]
+struct Patience {
+    /// Said last.
+    told: Option<String>,
+    /// In a row that were lost before they showed anything.
+    lost: u32,
+}
+
+impl Patience {
+    /// What there is to say of a session that this ended, before the next is begun: nothing where that was said already.
+    ///
+    /// # Errors
+    /// Where no other is worth beginning.
+    fn after(&mut self, fault: Fault, showed: bool) -> Result<Option<String>, XrError> {
+        if showed {
+            *self = Self::default();
+        }
+        let detail = match fault {
+            Fault::Later(detail) => detail,
+            Fault::Lost(detail) | Fault::Frame(FrameError::DeviceLost { detail }) => {
+                // This has happened, even if it happened before.
+                self.told = None;
+                self.lost += 1;
+                if self.lost >= MAX_LOST {
+                    return Err(XrError::NoHeadset { detail: format!("{detail}, {MAX_LOST} times in a row") });
+                }
+                format!("{detail}; opening it anew")
+            }
+            fault => return Err(given_up(fault)),
+        };
+        let news = self.told.as_ref() != Some(&detail);
+        self.told = Some(detail.clone());
+        Ok(news.then_some(detail))
+    }
 }
 
 fn given_up(fault: Fault) -> XrError {
@@ -172,8 +196,9 @@ fn session<S: Stage>(
 ) -> Result<(), Fault> {
     let runtime = Runtime::open(loader)?;
     let (gpu, handles) = graphics::open(&runtime)?;
-    let Surroundings { open, act, eyes } = surroundings;
-    let mut headset = Headset::new(runtime, &gpu, &handles, frames.clock(), viewer, eyes.as_mut())?;
+    let Surroundings { open, act, eyes, spectator } = surroundings;
+    let watchers = Watchers { eyes: eyes.as_mut(), spectator: spectator.as_deref_mut().map(|spectator| Watching::new(spectator, &gpu)) };
+    let mut headset = Headset::new(runtime, &gpu, &handles, frames.clock(), viewer, watchers)?;
     let mut stage = open(gpu).map_err(Fault::Open)?;
     let mut hands = Hands::default();
     let outcome = present(frames, limits, &mut headset, &mut stage, &mut hands, act);
@@ -236,4 +261,47 @@ fn frame<S: Stage>(
     };
     headset.end_unseen()?;
     Ok(turn?.ended)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn device_lost() -> Fault {
+        Fault::Frame(FrameError::DeviceLost { detail: "the driver gave it up".to_owned() })
+    }
+
+    #[test]
+    fn what_is_waited_for_is_said_once() {
+        let mut patience = Patience::default();
+        let away = || Fault::Later("no headset is connected".to_owned());
+        assert_eq!(patience.after(away(), false).unwrap().as_deref(), Some("no headset is connected"));
+        for _ in 0..2 * MAX_LOST {
+            assert_eq!(patience.after(away(), false).unwrap(), None);
+        }
+        // There, and away again.
+        assert!(patience.after(away(), true).unwrap().is_some());
+        assert!(patience.after(Fault::Later("start its software".to_owned()), false).unwrap().is_some());
+    }
+
+    #[test]
+    fn a_lost_gpu_is_opened_anew_until_nothing_is_shown_in_between() {
+        let mut patience = Patience::default();
+        for _ in 0..3 * MAX_LOST {
+            let news = patience.after(device_lost(), true).unwrap().unwrap();
+            assert!(news.contains("the driver gave it up") && news.contains("anew"), "{news}");
+        }
+        for _ in 1..MAX_LOST - 1 {
+            assert!(patience.after(device_lost(), false).unwrap().is_some());
+        }
+        assert!(matches!(patience.after(device_lost(), false), Err(XrError::NoHeadset { detail }) if detail.contains("in a row")));
+    }
+
+    #[test]
+    fn what_waiting_does_not_mend_ends_the_run() {
+        let mut patience = Patience::default();
+        assert!(matches!(patience.after(Fault::Absent("no runtime".to_owned()), false), Err(XrError::NoHeadset { .. })));
+        assert!(matches!(patience.after(Fault::Failed("odd".to_owned()), true), Err(XrError::Runtime { .. })));
+        assert!(matches!(patience.after(Fault::Open("no shader".into()), false), Err(XrError::Open(_))));
+    }
 }

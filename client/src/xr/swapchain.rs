@@ -77,10 +77,18 @@ enum Lent {
     Held(usize),
 }
 
+/// Views of a picture for both eyes.
+pub(super) struct EyeViews {
+    /// Of each eye's layer.
+    pub(super) each: [wgpu::TextureView; 2],
+    /// Of both layers.
+    pub(super) both: wgpu::TextureView,
+}
+
 /// Pictures for both eyes.
 pub(super) struct Swapchain {
     // The textures go before what lends them.
-    views: Vec<[wgpu::TextureView; 2]>,
+    views: Vec<EyeViews>,
     textures: Vec<wgpu::Texture>,
     pub(super) handle: xr::Swapchain<xr::Vulkan>,
     pub(super) format: wgpu::TextureFormat,
@@ -128,7 +136,11 @@ impl Swapchain {
                 ..Default::default()
             })
         };
-        let views = textures.iter().map(|texture| [layer(texture, 0), layer(texture, 1)]).collect();
+        let views = textures.iter().map(|texture| EyeViews {
+            each: [layer(texture, 0), layer(texture, 1)],
+            both: texture.create_view(&wgpu::TextureViewDescriptor::default()),
+        });
+        let views = views.collect();
         Ok(Self { views, textures, handle, format, size: (width, height), lent: Lent::No, device: gpu.device.clone() })
     }
 
@@ -167,8 +179,8 @@ impl Swapchain {
         }
     }
 
-    /// The borrowed picture, and a view of each of its layers.
-    pub(super) fn held(&self) -> Option<(&wgpu::Texture, &[wgpu::TextureView; 2])> {
+    /// The borrowed picture, and views of it.
+    pub(super) fn held(&self) -> Option<(&wgpu::Texture, &EyeViews)> {
         let Lent::Held(at) = self.lent else { return None };
         self.textures.get(at).zip(self.views.get(at))
     }

@@ -23,7 +23,7 @@ struct Cli {
 enum Bench {
     /// Light: accuracy against time of every method on HDR panoramas; speed on one live frame; sweep of the working resolution; stability over time; steps and share of one core for large frames of a clip.
     Lighting(Lighting),
-    /// The demo's scene in a viewer beside its server; pictures against path-traced truth and three.js; shadows against path-traced visibility; time against error; growth of time; a race against Bevy.
+    /// The demo's scene in a viewer beside its server; pictures against path-traced truth and three.js; shadows against path-traced visibility; time against error; growth of time; both eyes by one pass or two; a race against Bevy.
     Render(Render),
     /// One server and N headless viewers: age of light and video, the server's CPU and memory, bytes per track.
     Network(Network),
@@ -107,7 +107,7 @@ struct Render {
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// What is measured; everything but the race unless given.
-    #[arg(long, value_enum, value_delimiter = ',', default_value = "viewers,truth,shadows,methods,growth")]
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "viewers,truth,shadows,methods,growth,eyes")]
     part: Vec<RenderPart>,
     /// What the server broadcasts to viewers.
     #[arg(long, default_value = "synthetic:plaza?size=1280x640", value_name = "URL|FILE|synthetic:NAME")]
@@ -151,6 +151,8 @@ enum RenderPart {
     Methods,
     /// Time of every pass over lights, objects, triangles, roughness, size and views.
     Growth,
+    /// Both eyes by one pass against a pass an eye, on the driver of the OpenXR runtime for tests.
+    Eyes,
     /// Race against Bevy; wants --bevy.
     Bevy,
 }
@@ -163,6 +165,7 @@ impl From<RenderPart> for render::Part {
             RenderPart::Shadows => Self::Shadows,
             RenderPart::Methods => Self::Methods,
             RenderPart::Growth => Self::Growth,
+            RenderPart::Eyes => Self::Eyes,
             RenderPart::Bevy => Self::Bevy,
         }
     }

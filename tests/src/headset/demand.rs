@@ -42,13 +42,13 @@ fn pixels() -> f64 {
 fn works() -> [Work; 6] {
     [
         Work {
-            what: "objects and ground, a pass an eye",
+            what: "objects and ground, one pass of both eyes",
             why: "4 samples of colour and depth written, colours read again and resolved, on the touched share",
             rate_hz: RATE_HZ,
             bytes: |share| share * pixels() * (SAMPLES * (2.0 * LAYER + DEPTH) + LAYER),
         },
         Work {
-            what: "composite, a pass an eye",
+            what: "composite, one pass of both eyes",
             why: "layer read on the touched share, video at most a texel a pixel, codes written",
             rate_hz: RATE_HZ,
             bytes: |share| pixels() * (share * LAYER + VIDEO_BYTES + CODES),
@@ -134,7 +134,7 @@ mod tests {
         assert!(memory(0.0) > LENT * pixels() * 8.0 && memory(1.0) - memory(0.0) == pixels() * 56.0);
         let text = markdown(&[("composite".to_owned(), 2.5)]);
         assert!(
-            text.contains("2×2064×2208") && text.contains("composite 2.5") && text.contains("| composite, a pass an eye | 90 |"),
+            text.contains("2×2064×2208") && text.contains("composite 2.5") && text.contains("| composite, one pass of both eyes | 90 |"),
             "{text}"
         );
     }

@@ -17,7 +17,7 @@ use crate::table::Table;
 
 /// What a picture shows.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Shown {
+pub(super) struct Shown {
     lights: usize,
     objects: usize,
     /// Of one model, in place of the objects; 0 for none.
@@ -38,6 +38,11 @@ struct Sweep {
     steps: Vec<(f64, Shown)>,
 }
 
+/// The same with so many objects.
+pub(super) fn with_objects(objects: usize) -> Shown {
+    Shown { objects, ..BASE }
+}
+
 /// Times of a sweep.
 struct Timed {
     sweep: Sweep,
@@ -50,9 +55,7 @@ struct Timed {
 /// When the viewer fails, the GPU has no timestamps, or the results cannot be written.
 pub(super) fn run(options: &Options) -> Result<String> {
     let sandbox = Sandbox::new()?;
-    let panorama = sandbox.path("panorama.png");
-    let gradient = RgbImage::from_fn(1024, 512, |x, y| image::Rgb([(x / 4) as u8, (y / 2) as u8, 160]));
-    gradient.save(&panorama).context("a panorama cannot be written")?;
+    let panorama = gradient(&sandbox)?;
     let mut timed = Vec::new();
     for sweep in sweeps() {
         let mut passes = Vec::new();
@@ -63,6 +66,14 @@ pub(super) fn run(options: &Options) -> Result<String> {
         timed.push(Timed { sweep, passes });
     }
     write(options, &timed)
+}
+
+/// A panorama.
+pub(super) fn gradient(sandbox: &Sandbox) -> Result<PathBuf> {
+    let panorama = sandbox.path("panorama.png");
+    let gradient = RgbImage::from_fn(1024, 512, |x, y| image::Rgb([(x / 4) as u8, (y / 2) as u8, 160]));
+    gradient.save(&panorama).context("a panorama cannot be written")?;
+    Ok(panorama)
 }
 
 fn sweeps() -> Vec<Sweep> {
@@ -111,7 +122,7 @@ fn rings(triangles: usize) -> u32 {
 }
 
 /// Balls in rows on the ground before the camera, all in sight; or one model.
-fn scene_of(shown: Shown) -> String {
+pub(super) fn scene_of(shown: Shown) -> String {
     let material = format!("material = {{ base_color = [0.7, 0.6, 0.5], roughness = {:.3}, metallic = 0.0 }}\n", shown.roughness);
     let mut text = "ground_y = -1.6\n".to_owned();
     if shown.triangles > 0 {
@@ -128,7 +139,7 @@ fn scene_of(shown: Shown) -> String {
 }
 
 /// Even ambient light, and lamps around that give as much together.
-fn light_of(count: usize) -> String {
+pub(super) fn light_of(count: usize) -> String {
     let mut sh = [[0.0; 3]; 9];
     sh[0] = [1.0; 3];
     let lamp = |at: usize| {

@@ -2,7 +2,7 @@
 //! visibility, time against error, how time grows with what is drawn, and a race against Bevy.
 //!
 //! `viewers` runs the demo's scene, `truth` and `shadows` compare what the viewer draws with the references in `tests/references`, `methods` and
-//! `growth` time the passes of one picture, `bevy` races whole frames. `flip` is the metric, `sheet` puts pictures side by side, `three` has three.js draw the same scenes, `programs` runs
+//! `growth` time the passes of one picture, `eyes` those of two, `bevy` races whole frames. `flip` is the metric, `sheet` puts pictures side by side, `three` has three.js draw the same scenes, `programs` runs
 //! server and viewer to their end.
 
 use std::fs;
@@ -13,6 +13,7 @@ use anyhow::{Context, Result};
 use crate::figures::save;
 
 mod bevy;
+mod eyes;
 pub mod flip;
 mod growth;
 mod methods;
@@ -36,6 +37,8 @@ pub enum Part {
     Methods,
     /// Time of every pass over lights, objects, triangles, roughness, size and views.
     Growth,
+    /// Both eyes by one pass against a pass an eye.
+    Eyes,
     /// Race against Bevy, where its side was built.
     Bevy,
 }
@@ -69,7 +72,7 @@ pub struct Options {
 
 /// Runs the bench and writes `render.md`; of viewers `render.csv`, `render-passes.csv` and `render-passes.svg`; of truth `render-truth.csv` and
 /// `render-truth.jpg`; of shadows `render-shadows.csv` and `render-shadows.png`; of methods `render-methods.csv` and `render-methods.svg`; of growth `render-growth.csv`
-/// and `render-growth.svg`; of the race `render-bevy.csv` and both renderers' pictures.
+/// and `render-growth.svg`; of eyes `render-eyes.csv` and `render-eyes.svg`; of the race `render-bevy.csv` and both renderers' pictures.
 ///
 /// # Errors
 /// When panoramas or references are missing, a program fails, or the results cannot be written.
@@ -83,6 +86,7 @@ pub fn run(options: &Options) -> Result<()> {
             Part::Shadows => shadows::run(options)?,
             Part::Methods => methods::run(options)?,
             Part::Growth => growth::run(options)?,
+            Part::Eyes => eyes::run(options)?,
             Part::Bevy => bevy::run(options)?,
         });
     }

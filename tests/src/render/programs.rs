@@ -52,11 +52,15 @@ pub(super) fn light(sandbox: &Sandbox, panorama: &Path, name: &str) -> Result<Pa
 /// # Errors
 /// When the viewer has not been built.
 pub(super) fn render(sandbox: &Sandbox, panorama: &Path, scene: &Path, light: &Path, view: View) -> Result<Command> {
-    let mut command = sandbox.client_command()?;
+    Ok(render_by(sandbox.client_command()?, panorama, scene, light, view))
+}
+
+/// The same by a command that is `mr360-client`, without arguments yet.
+pub(super) fn render_by(mut command: Command, panorama: &Path, scene: &Path, light: &Path, view: View) -> Command {
     command.arg("render").arg("--panorama").arg(panorama).arg("--scene").arg(scene).arg("--light").arg(light);
     command.args(["--size", &format!("{}x{}", view.size.0, view.size.1)]);
     command.args(["--fov-y-deg", &view.fov_y_deg.to_string(), "--pitch-deg", &view.pitch_deg.to_string()]);
-    Ok(command)
+    command
 }
 
 /// GPU times of a picture by pass, milliseconds.

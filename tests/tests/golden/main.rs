@@ -5,6 +5,7 @@
 
 mod hold;
 mod materials;
+mod multiview;
 mod video;
 
 use std::collections::HashMap;

@@ -219,7 +219,9 @@ fn an_item_is_chosen_shown_and_put_where_the_pointer_is() {
     stand.to(Vec2::new(100.0, 320.0));
     assert_eq!(stand.controls.drawn(&stand.world), []);
     stand.controls.choose(None, &stand.world);
+    assert_eq!(stand.controls.in_hand(&stand.world), Some("ball"));
     stand.controls.choose(Some(1), &stand.world);
+    assert_eq!(stand.controls.in_hand(&stand.world), Some("cube"));
     let ghost = stand.controls.drawn(&stand.world).remove(0);
     assert_eq!(ghost.geometry, stand.world.library[1].geometry);
     let foot = ghost.transform.position - Vec3::Y * 0.15;
@@ -235,6 +237,7 @@ fn an_item_is_chosen_shown_and_put_where_the_pointer_is() {
     let on_cube = stand.controls.drawn(&stand.world).remove(0).transform.position;
     assert!((on_cube.y - (-0.6 + 0.15 * ZOOM)).abs() < 3e-3, "{on_cube}");
     assert!(stand.controls.close_palette() && !stand.controls.close_palette());
+    assert_eq!(stand.controls.in_hand(&stand.world), None);
     stand.controls.choose(Some(9), &stand.world);
     assert_eq!(stand.controls.drawn(&stand.world), []);
 }
