@@ -107,7 +107,7 @@ fn in_headset(
 ) -> anyhow::Result<()> {
     let mut open = |gpu: Gpu| -> Result<LiveStage, BoxError> {
         let stage = LiveStage::new(gpu, scene.clone(), settings.governor(Some(HEADSET_MHZ)))?;
-        Ok(settings.stage(stage.with_parallax(settings.parallax)))
+        Ok(settings.stage(stage.with_background(settings.parallax, settings.resampling)))
     };
     match xr::run(frames, &settings.headset(), xr::Surroundings { open: &mut open, act: &mut *act, eyes }) {
         Err(error @ XrError::NoHeadset { .. }) => {
@@ -137,7 +137,7 @@ fn in_window(frames: &mut FrameLoop, settings: &Settings, scene: &SharedScene, a
         let surface = instance.create_surface(window)?;
         let gpu = Gpu::new(instance, Some(&surface))?;
         let (adapter, device, queue) = (gpu.adapter.clone(), gpu.device.clone(), gpu.queue.clone());
-        let stage = settings.stage(LiveStage::new(gpu, scene.clone(), governor)?.with_parallax(settings.parallax));
+        let stage = settings.stage(LiveStage::new(gpu, scene.clone(), governor)?.with_background(settings.parallax, settings.resampling));
         Ok(WindowGraphics { surface, adapter, device, queue, stage })
     };
     match window::run(frames, &settings.window(), &mut open, act) {
@@ -154,7 +154,8 @@ fn to_file(frames: &mut FrameLoop, settings: &Settings, files: Files, scene: &Sh
     let mut open = || -> Result<Graphics<LiveStage>, BoxError> {
         let gpu = Gpu::headless()?;
         let (device, queue) = (gpu.device.clone(), gpu.queue.clone());
-        let stage = settings.stage(LiveStage::new(gpu, scene.clone(), settings.governor(None))?.with_parallax(settings.parallax));
+        let stage = settings
+            .stage(LiveStage::new(gpu, scene.clone(), settings.governor(None))?.with_background(settings.parallax, settings.resampling));
         Ok(Graphics { device, queue, stage })
     };
     let camera: Camera = settings.camera;
