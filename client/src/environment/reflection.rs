@@ -280,3 +280,19 @@ fn pipeline(
         cache: None,
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_columns_of_a_picture_count_as_far_as_asked() {
+        let light = FrameLight::default();
+        let samples = |width, fine| lift_uniform(width, fine, &light).samples;
+        assert_eq!([1, 400, 1600, 3840, 16_384].map(|width| samples(width, false)), [1, 1, 4, 4, 4]);
+        assert_eq!([1, 400, 1600, 3840, 16_384].map(|width| samples(width, true)), [1, 1, 4, 10, 12]);
+        // Each sample covers two texels in the middle of a face.
+        let texels = 4800.0 / std::f32::consts::TAU * 2.0 / SIDE as f32;
+        assert!(2.0 * samples(4800, true) as f32 >= texels, "{texels}");
+    }
+}
