@@ -8,12 +8,14 @@ use mr360_protocol::light;
 use crate::colour::recovery_tint;
 use crate::lobe::MAX_TAPS;
 
+mod shadow;
+
+pub use shadow::{CELLS, Caster, CasterCells, MOST_SHADOW_MAPS, SHADOW_MAP_SIZE, ShadowMap};
+
 /// Most lights that shade a surface one by one.
 pub const SHADED_LIGHTS: usize = 8;
 /// Most spheres that stand for objects where they hide the sky.
 pub const MAX_OCCLUDERS: usize = 64;
-/// Texels on a side of a shadow map.
-pub const SHADOW_MAP_SIZE: u32 = 1024;
 
 /// `View`: one eye's camera.
 #[repr(C)]
@@ -37,27 +39,6 @@ pub struct View {
     pub dome_m: f32,
     /// Rays along each side of a pixel that show the background.
     pub rays: u32,
-}
-
-/// `ShadowMap`: what casts shadows, as one light sees it.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, Pod, Zeroable)]
-pub struct ShadowMap {
-    /// Columns.
-    pub from_world: [[f32; 4]; 4],
-    /// Metres.
-    pub half_width_m: f32,
-    /// Metres.
-    pub range_m: f32,
-    /// Metres.
-    pub texel_m: f32,
-    /// Layer of the maps' texture; negative for none.
-    pub layer: i32,
-}
-
-impl ShadowMap {
-    /// No shadows.
-    pub const NONE: Self = Self { from_world: [[0.0; 4]; 4], half_width_m: 1.0, range_m: 1.0, texel_m: 1.0, layer: -1 };
 }
 
 /// `Light`: one directional light.
@@ -102,6 +83,8 @@ pub struct Lighting {
     pub ground_y: f32,
     /// Strongest first.
     pub lights: [Light; SHADED_LIGHTS],
+    /// By layer of the shadow maps.
+    pub casters: [CasterCells; MOST_SHADOW_MAPS],
     /// x and z, metres.
     pub ground_min: [f32; 2],
     /// x and z, metres.
@@ -249,14 +232,6 @@ pub struct Cut {
     pub share: f32,
     /// Unused.
     pub padding: [f32; 2],
-}
-
-/// `Caster`: one light's view of the objects.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, Pod, Zeroable)]
-pub struct Caster {
-    /// Columns.
-    pub clip_from_world: [[f32; 4]; 4],
 }
 
 /// One vertex of a mesh.
@@ -459,6 +434,7 @@ mod tests {
     fn mirrors_match_the_shaders() {
         mirrors!(Object, View { clip_from_world, world_from_ndc, position, eye, size_px, layer_origin, layer_size, dome_m, rays });
         mirrors!(Object, ShadowMap { from_world, half_width_m, range_m, texel_m, layer });
+        mirrors!(Object, CasterCells { rows, clear_to_m });
         mirrors!(Object, Light { direction, tan_radius, irradiance, cut, objects, place });
         mirrors!(
             Object,
@@ -473,6 +449,7 @@ mod tests {
                 ground_reflectance,
                 ground_y,
                 lights,
+                casters,
                 ground_min,
                 ground_max,
                 ground_roughness,

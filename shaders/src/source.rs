@@ -9,7 +9,7 @@ use std::fmt::Write as _;
 use mr360_protocol::light::{Lift, MAX_GAIN_LN, MAX_MAGNITUDE, Recovery};
 use mr360_protocol::video::Transfer;
 
-use crate::layout::{MAX_OCCLUDERS, SHADOW_MAP_SIZE};
+use crate::layout::{CELLS, MAX_OCCLUDERS, SHADOW_MAP_SIZE};
 use crate::{colour, lobe, sh};
 
 /// Radii from an occluder's centre beyond which it hides exactly nothing.
@@ -328,6 +328,7 @@ fn prelude() -> String {
         ("GOLDEN_COSINE", golden_angle.cos()),
         ("GOLDEN_SINE", golden_angle.sin()),
         ("SHADOW_MAP_SIZE", SHADOW_MAP_SIZE as f32),
+        ("CELLS", CELLS as f32),
     ] {
         // {:?} prints the shortest text that reads back as the same float. Writing to a String cannot fail.
         let _ = writeln!(text, "const {name}: f32 = {value:?};");

@@ -34,6 +34,12 @@ struct ShadowMap {
     layer: i32,
 }
 
+// Where in a shadow map a caster can hide the light, a bit for each cell, up to a depth along the light, metres.
+struct CasterCells {
+    rows: array<vec4<u32>, 8>,
+    clear_to_m: f32,
+}
+
 struct Light {
     direction: vec3<f32>,
     // Tangent of half the cone that the light fills.
@@ -62,6 +68,8 @@ struct Lighting {
     ground_reflectance: vec3<f32>,
     ground_y: f32,
     lights: array<Light, 8>,
+    // By layer of the shadow maps.
+    casters: array<CasterCells, 8>,
     // Corners of the ground that objects can change, x and z.
     ground_min: vec2<f32>,
     ground_max: vec2<f32>,

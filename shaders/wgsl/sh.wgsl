@@ -19,13 +19,16 @@ fn sh_sum(count: u32, d: vec3<f32>, band: array<f32, 5>) -> vec3<f32> {
     let xx = d.x * d.x;
     let yy = d.y * d.y;
     let zz = d.z * d.z;
-    sum += (sh_at(9u) * (0.5900436 * d.y * (3.0 * xx - yy))
-        + sh_at(10u) * (2.8906114 * d.x * d.y * d.z)
-        + sh_at(11u) * (0.4570458 * d.y * (5.0 * zz - 1.0))
-        + sh_at(12u) * (0.37317633 * d.z * (5.0 * zz - 3.0))
-        + sh_at(13u) * (0.4570458 * d.x * (5.0 * zz - 1.0))
-        + sh_at(14u) * (1.4453057 * d.z * (xx - yy))
-        + sh_at(15u) * (0.5900436 * d.x * (xx - 3.0 * yy))) * band[3];
+    // Irradiance has none of it: where that is known, it is left out.
+    if band[3] != 0.0 {
+        sum += (sh_at(9u) * (0.5900436 * d.y * (3.0 * xx - yy))
+            + sh_at(10u) * (2.8906114 * d.x * d.y * d.z)
+            + sh_at(11u) * (0.4570458 * d.y * (5.0 * zz - 1.0))
+            + sh_at(12u) * (0.37317633 * d.z * (5.0 * zz - 3.0))
+            + sh_at(13u) * (0.4570458 * d.x * (5.0 * zz - 1.0))
+            + sh_at(14u) * (1.4453057 * d.z * (xx - yy))
+            + sh_at(15u) * (0.5900436 * d.x * (xx - 3.0 * yy))) * band[3];
+    }
     sum += (sh_at(16u) * (2.5033429 * d.x * d.y * (xx - yy))
         + sh_at(17u) * (1.7701308 * d.y * d.z * (3.0 * xx - yy))
         + sh_at(18u) * (0.9461747 * d.x * d.y * (7.0 * zz - 1.0))

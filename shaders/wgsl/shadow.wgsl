@@ -76,6 +76,13 @@ fn lit_at(r: Receiver, offset: vec2<f32>, aside_m: f32) -> f32 {
     return textureSampleCompareLevel(shadow_maps, shadow_sampler, r.uv + offset * r.uv_per_m, r.layer, depth);
 }
 
+// True where some caster may hide the light from a point within the map's square.
+fn near_caster(layer: i32, at: vec3<f32>) -> bool {
+    let cell = vec2<u32>(clamp((at.xy * vec2(0.5, -0.5) + 0.5) * CELLS, vec2(0.0), vec2(CELLS - 1.0)));
+    let row = lighting.casters[layer].rows[cell.y >> 2u][cell.y & 3u];
+    return ((row >> cell.x) & 1u) == 1u || at.z > lighting.casters[layer].clear_to_m;
+}
+
 // Share of a light that one map lets through to a point, exactly 1 where nothing lies in between.
 //
 // What lies beneath the receiver's tangent plane cannot hide the light from it, so that convex surfaces never shadow
@@ -86,7 +93,7 @@ fn lit_at(r: Receiver, offset: vec2<f32>, aside_m: f32) -> f32 {
 // them would not where pixels run in step. Such a loop runs at least once and must do no harm then.
 fn visibility_in(map: ShadowMap, light_direction: vec3<f32>, tan_radius: f32, world: vec3<f32>, normal: vec3<f32>) -> f32 {
     let at = (map.from_world * vec4(world, 1.0)).xyz;
-    let seen = map.layer >= 0 && max(abs(at.x), abs(at.y)) < 1.0;
+    let seen = map.layer >= 0 && max(abs(at.x), abs(at.y)) < 1.0 && near_caster(max(map.layer, 0), at);
     let r = receiver_in(map, light_direction, tan_radius, at, normal);
     let search_m = max(tan_radius * max(at.z, 0.0), LEAST_SEARCH * r.texel_m);
     let search_pairs = select(0u, SEARCH_PAIRS, seen);

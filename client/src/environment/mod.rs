@@ -68,7 +68,7 @@ pub struct Environment {
     stereo: bool,
     reflections: ReflectionMap,
     /// The method that the reflection maps are up to date for.
-    reflected: Option<Reflections>,
+    reflected: Option<(Reflections, bool)>,
 }
 
 impl Environment {
@@ -143,18 +143,19 @@ impl Environment {
         self.reflected = None;
     }
 
-    /// Records the rebuilding of what reflections are looked up in, if picture, light or method changed since the last time.
+    /// Records the rebuilding of what reflections are looked up in, if picture, light or `how` changed since the last time: how lobes are
+    /// looked up, and whether pictures are resampled finely.
     pub(crate) fn refresh_reflections(
         &mut self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
         light: &FrameLight,
-        method: Reflections,
+        how: (Reflections, bool),
         timer: &mut PassTimer,
     ) {
-        if self.reflected != Some(method) {
-            self.reflections.record(gpu, encoder, (self.kind, &self.bind_group), self.eye_size.0, (light, method), timer);
-            self.reflected = Some(method);
+        if self.reflected != Some(how) {
+            self.reflections.record(gpu, encoder, (self.kind, &self.bind_group), self.eye_size.0, (light, how), timer);
+            self.reflected = Some(how);
         }
     }
 

@@ -176,10 +176,10 @@ impl ReflectionMap {
         encoder: &mut wgpu::CommandEncoder,
         (kind, video): (VideoKind, &wgpu::BindGroup),
         eye_width: u32,
-        (light, method): (&FrameLight, Reflections),
+        (light, (method, fine)): (&FrameLight, (Reflections, bool)),
         timer: &mut PassTimer,
     ) {
-        gpu.queue.write_buffer(&self.lift_uniform, 0, bytemuck::bytes_of(&lift_uniform(eye_width, light)));
+        gpu.queue.write_buffer(&self.lift_uniform, 0, bytemuck::bytes_of(&lift_uniform(eye_width, fine, light)));
         let lift = self.lifts.entry((kind, light.sh_count)).or_insert_with(|| {
             let [own, video] = &self.lift_layouts;
             let [a, b, c, d] = kind.constants();
@@ -208,15 +208,18 @@ impl ReflectionMap {
     }
 }
 
-/// Bilinear samples that each cover two video texels, enough of them for a texel in the middle of a face, at most 4 × 4;
-/// and the lights to cut out.
-fn lift_uniform(eye_width: u32, light: &FrameLight) -> layout::Lift {
+/// Most samples along a side of a texel: with them all of a picture of 1600 columns counts, or of 4800 where it is resampled finely.
+const LIFT_SAMPLES: u32 = 4;
+const FINE_LIFT_SAMPLES: u32 = 12;
+
+/// Bilinear samples that each cover two video texels, enough of them for a texel in the middle of a face; and the lights to cut out.
+fn lift_uniform(eye_width: u32, fine: bool, light: &FrameLight) -> layout::Lift {
     let texel = 2.0 / SIDE as f32;
     let samples = (eye_width as f32 / std::f32::consts::TAU * texel / 2.0).ceil() as u32;
     let mut uniform = layout::Lift {
         sh: light.sh.map(|c| c.extend(0.0).to_array()),
         size_px: SIDE,
-        samples: samples.clamp(1, 4),
+        samples: samples.clamp(1, if fine { FINE_LIFT_SAMPLES } else { LIFT_SAMPLES }),
         ..layout::Lift::zeroed()
     };
     let cuts = light.lights.iter().map(|light| (light.direction, map_cut(light.solid_angle_sr))).filter(|(_, cut)| cut.share > 0.0);
@@ -276,4 +279,20 @@ fn pipeline(
         compilation_options: wgpu::PipelineCompilationOptions { constants, ..Default::default() },
         cache: None,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_columns_of_a_picture_count_as_far_as_asked() {
+        let light = FrameLight::default();
+        let samples = |width, fine| lift_uniform(width, fine, &light).samples;
+        assert_eq!([1, 400, 1600, 3840, 16_384].map(|width| samples(width, false)), [1, 1, 4, 4, 4]);
+        assert_eq!([1, 400, 1600, 3840, 16_384].map(|width| samples(width, true)), [1, 1, 4, 10, 12]);
+        // Each sample covers two texels in the middle of a face.
+        let texels = 4800.0 / std::f32::consts::TAU * 2.0 / SIDE as f32;
+        assert!(2.0 * samples(4800, true) as f32 >= texels, "{texels}");
+    }
 }

@@ -19,7 +19,7 @@ use crate::headless::{Files, HeadlessOptions, Pace};
 use crate::receive;
 use crate::record::{PictureFile, RecordError, Recorder};
 use crate::script::{self, Deed, ScriptError};
-use crate::view::Parallax;
+use crate::view::{Parallax, Resampling};
 use crate::viewpoint::Viewpoint;
 use crate::window::WindowOptions;
 use crate::xr::{EyeRecorder, XrOptions};
@@ -93,6 +93,9 @@ pub struct JoinArgs {
     /// all else on a dome of 50 m), or ground:RADIUS.
     #[arg(long, default_value = "ground", value_name = "SETTING")]
     pub parallax: Parallax,
+    /// How the video is resampled: plainly, finely, or finely where the GPU is one (auto).
+    #[arg(long, value_enum, default_value_t = Resampling::Auto)]
+    pub resampling: Resampling,
     /// Show what a frame costs over the view, as F1 does in a window.
     #[arg(long)]
     pub overlay: bool,
@@ -142,6 +145,7 @@ pub(super) struct Settings {
     pace: Pace,
     overlay: bool,
     pub(super) parallax: Parallax,
+    pub(super) resampling: Resampling,
     tier: Option<TierChoice>,
     mute: bool,
     record_input: Option<PathBuf>,
@@ -188,6 +192,7 @@ impl JoinArgs {
             pace: self.fps.map_or(Pace::Video, Pace::Fixed),
             overlay: self.overlay,
             parallax: self.parallax,
+            resampling: self.resampling,
             tier: self.tier,
             mute: self.mute,
             record_input: self.record_input,

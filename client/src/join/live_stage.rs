@@ -21,7 +21,7 @@ use crate::scene::model::LoadedModel;
 use crate::scene::pick::Ray;
 use crate::stats::{FrameTimes, PassTime};
 use crate::sync::{ClientClock, Paired, ReceivedLight};
-use crate::view::{Element, FrameReport, MAX_LOCAL, Parallax, Renderer, View, local_id};
+use crate::view::{Element, FrameReport, MAX_LOCAL, Parallax, Renderer, Resampling, View, local_id};
 
 /// The renderer behind the frame loop.
 pub struct LiveStage {
@@ -49,6 +49,7 @@ pub struct LiveStage {
     warned: HashMap<Element, String>,
     governor: Governor,
     parallax: Parallax,
+    resampling: Resampling,
     clock: ClientClock,
     /// The last frame that was presented.
     before: Option<FrameTimes>,
@@ -84,6 +85,7 @@ impl LiveStage {
             warned: HashMap::new(),
             governor,
             parallax: Parallax::default(),
+            resampling: Resampling::default(),
             clock,
             before: None,
             overlay_shown: false,
@@ -92,10 +94,10 @@ impl LiveStage {
         })
     }
 
-    /// The same with the background of mono video at this distance.
+    /// The same with the background of mono video at this distance, and video resampled this way.
     #[must_use]
-    pub fn with_parallax(self, parallax: Parallax) -> Self {
-        Self { parallax, ..self }
+    pub fn with_background(self, parallax: Parallax, resampling: Resampling) -> Self {
+        Self { parallax, resampling, ..self }
     }
 
     fn follow_scene(&mut self) {
@@ -214,6 +216,7 @@ impl Stage for LiveStage {
             let failed = |source: BoxError| FrameError::Failed { action: "setting up the renderer", source };
             let mut renderer = Renderer::new(&self.gpu, wanted).map_err(|error| failed(error.into()))?;
             renderer.set_parallax(self.parallax);
+            renderer.set_resampling(&self.gpu, self.resampling);
             if shots.iter().any(|shot| shot.target.both.is_some()) {
                 let multiview = renderer.use_multiview(&self.gpu).map_err(|error| failed(error.into()))?;
                 tracing::info!(multiview, "views of both eyes");

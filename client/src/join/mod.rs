@@ -113,7 +113,7 @@ fn in_headset(
 ) -> anyhow::Result<()> {
     let mut open = |gpu: Gpu| -> Result<LiveStage, BoxError> {
         let stage = LiveStage::new(gpu, scene.clone(), settings.governor(Some(HEADSET_MHZ)))?;
-        Ok(settings.stage(stage.with_parallax(settings.parallax)))
+        Ok(settings.stage(stage.with_background(settings.parallax, settings.resampling)))
     };
     let mut spectator =
         Spectator::new(&settings.window(frames.frames())).inspect_err(|error| tracing::debug!("no window mirrors the headset: {error}")).ok();
@@ -164,7 +164,7 @@ fn in_window(
         let surface = instance.create_surface(window)?;
         let gpu = Gpu::new(instance, Some(&surface))?;
         let (adapter, device, queue) = (gpu.adapter.clone(), gpu.device.clone(), gpu.queue.clone());
-        let stage = settings.stage(LiveStage::new(gpu, scene.clone(), governor)?.with_parallax(settings.parallax));
+        let stage = settings.stage(LiveStage::new(gpu, scene.clone(), governor)?.with_background(settings.parallax, settings.resampling));
         Ok(WindowGraphics { surface, adapter, device, queue, stage })
     };
     match window::run(frames, &settings.window(frames.frames()), &mut open, act, events) {
@@ -181,7 +181,8 @@ fn to_file(frames: &mut FrameLoop, settings: &Settings, files: Files, scene: &Sh
     let mut open = || -> Result<Graphics<LiveStage>, BoxError> {
         let gpu = Gpu::headless()?;
         let (device, queue) = (gpu.device.clone(), gpu.queue.clone());
-        let stage = settings.stage(LiveStage::new(gpu, scene.clone(), settings.governor(None))?.with_parallax(settings.parallax));
+        let stage = settings
+            .stage(LiveStage::new(gpu, scene.clone(), settings.governor(None))?.with_background(settings.parallax, settings.resampling));
         Ok(Graphics { device, queue, stage })
     };
     let camera: Camera = settings.camera;

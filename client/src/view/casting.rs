@@ -1,7 +1,5 @@
 //! What casts shadows: animated models in their pose, and the maps of what each light sees of the objects.
 
-use std::collections::HashSet;
-
 use mr360_protocol::scene::Geometry;
 
 use super::extent::in_view;
@@ -21,9 +19,10 @@ impl Renderer {
             return;
         }
         let seen = |bounds: &Bounds| plan.shadows > 0 || views.iter().any(|view| in_view(&view.camera, view.size, bounds));
-        let shown: HashSet<(Geometry, usize)> =
-            stage.animated.iter().filter(|(.., bounds)| seen(bounds)).map(|(geometry, animation, _)| (*geometry, *animation)).collect();
-        if models.deform(gpu, encoder, timer, *time_us, &|geometry, animation| shown.contains(&(*geometry, animation))) {
+        let shown = |geometry: &Geometry, animation: usize| {
+            stage.animated.iter().any(|(of, which, bounds)| (of, *which) == (geometry, animation) && seen(bounds))
+        };
+        if models.deform(gpu, encoder, timer, *time_us, &shown) {
             *shadows = [None; MAX_SHADOWS];
         }
     }

@@ -10,6 +10,7 @@ mod background;
 mod background_tests;
 mod casting;
 mod catchers;
+mod cells;
 mod depth;
 #[cfg(test)]
 mod depth_tests;
@@ -391,7 +392,7 @@ impl Renderer {
                 self.reflected = self.light.clone();
             }
             self.unreflected = 0;
-            environment.refresh_reflections(gpu, encoder, &self.light, self.reflections, &mut self.timer);
+            environment.refresh_reflections(gpu, encoder, &self.light, (self.reflections, self.fine), &mut self.timer);
         }
         let frusta: Vec<Frustum> =
             self.current.lights.iter().take(plan.shadows).map(|light| self.resources.frustum(light, &self.stage)).collect();

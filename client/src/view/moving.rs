@@ -8,7 +8,7 @@ use mr360_shaders::source::Alpha;
 
 use super::Renderer;
 use super::plan::MAX_SHADOWS;
-use super::stage::{Placed, Stage, world_bounds};
+use super::stage::{Placed, Stage, is_even, world_bounds};
 use crate::gpu::Gpu;
 use crate::scene::mesh::Bounds;
 
@@ -24,6 +24,8 @@ pub(super) struct Slot {
     bounds_at: (bool, usize),
     /// In its own frame.
     bounds: Bounds,
+    /// A ball, unless its scale makes it another shape.
+    round: bool,
     /// The spheres that stand for it, and their middles in the object's frame, scaled.
     occluders: Range<usize>,
     middles: Vec<Vec3>,
@@ -45,6 +47,7 @@ impl Slot {
             stride,
             bounds_at,
             bounds: placed.bounds,
+            round: placed.model.round,
             occluders: 0..0,
             middles: Vec::new(),
             transform: placed.object.transform,
@@ -102,6 +105,9 @@ impl Stage {
         let bounds = world_bounds(&slot.bounds, &world_from_object);
         let all = if casts { &mut self.casters } else { &mut self.apart };
         *all.get_mut(at)? = bounds;
+        if casts {
+            *self.round.get_mut(at)? = slot.round && is_even(transform.scale);
+        }
         self.needs.beneath_ground |= self.is_beneath(&bounds);
         if let Some(target) = self.targets.iter_mut().find(|target| target.id == id) {
             target.transform = *transform;

@@ -25,8 +25,8 @@ use crate::scene::mesh::Bounds;
 const MOST_CASTERS: usize = 64;
 /// Most boxes that a shadow is taken apart into.
 const MOST_SHADOW_PIECES: usize = 16;
-/// The place's penumbrae have room beside what objects can change as from this far away, metres.
-const PENUMBRA_FROM_M: f32 = 2.0;
+/// Tangent of the widest light whose penumbrae are followed beside what objects can change.
+const WIDEST_TAN: f32 = 0.5;
 
 /// What of the place is drawn until the scene changes.
 #[derive(Debug, Default)]
@@ -109,7 +109,13 @@ impl Stage {
     /// One light's view of the place, over all that objects can change: there alone its shadows are asked for.
     pub(super) fn place_frustum(&self, light: &DirectionalLight) -> Frustum {
         let changed: Vec<_> = self.occluders.iter().map(reach).chain(self.casters.iter().copied()).collect();
-        fit_over(light.direction, &changed, &self.place.casters, tan_radius(light.solid_angle_sr).min(0.5) * PENUMBRA_FROM_M)
+        let along = |boxes: &[Bounds]| {
+            let depths = boxes.iter().flat_map(Bounds::corners).map(|corner| corner.dot(light.direction));
+            depths.fold((f32::INFINITY, f32::NEG_INFINITY), |(least, most), depth| (least.min(depth), most.max(depth)))
+        };
+        // From the caster nearest to the light to the farthest of what it may leave in a penumbra.
+        let fall_m = (along(&self.place.casters).1 - along(&changed).0).clamp(0.0, LONGEST_SHADOW_M);
+        fit_over(light.direction, &changed, &self.place.casters, tan_radius(light.solid_angle_sr).min(WIDEST_TAN) * fall_m)
     }
 }
 

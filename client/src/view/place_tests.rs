@@ -120,6 +120,30 @@ fn no_light_is_taken_twice() {
 }
 
 #[test]
+fn what_is_far_above_leaves_its_penumbra() {
+    let gpu = Gpu::headless().unwrap();
+    let center = Vec3::new(0.0, GROUND_Y + 0.5, -4.0);
+    let (ball, inner) = (Solid::Ball { center, radius: 0.1 }, Solid::Ball { center, radius: 0.08 });
+    let eye = Eye::at(Vec3::new(0.0, 1.0, -3.0), center, 0.3, (64, 48));
+    let sun = light(Vec3::Y, 0.05, Vec3::ONE * 4.0, 1);
+    // A roof over all that lies to the left of an edge, which is farther away than what a ball as small as this changes.
+    for (height, edge) in [(12.0, -1.0), (30.0, -1.0), (30.0, 1.0), (30.0, -2.0)] {
+        let roof = block(Vec3::new(edge - 20.0, GROUND_Y + height, -4.0), Vec3::new(20.0, 0.05, 20.0));
+        let brightness = |casts| {
+            let (scene, assets) = scene(&[ball], &[(roof, casts)]);
+            let drawn = eye.draw_scene(&gpu, &scene, &assets, vec![sun]);
+            let on_ball = (0..drawn.len()).filter(|pixel| inner.meets(eye.camera.position, eye.ray(*pixel)));
+            on_ball.map(|pixel| drawn[pixel].x).sum::<f32>()
+        };
+        let share = brightness(true) / brightness(false);
+        let truth = seen_of_light(center + Vec3::Y * 0.1, &sun, &[roof], RAYS);
+        println!("roof {height} m above, edge at {edge} m: {share} of the light, truth {truth}");
+        // Taps of the filter are of a 48th each, and the ball is as wide as a twentieth of the penumbra.
+        assert!((share - truth).abs() < 0.06 && truth > 0.05 && truth < 0.95, "{height} m, {edge} m: {share}, truth {truth}");
+    }
+}
+
+#[test]
 fn a_table_of_the_place_catches_the_shadow() {
     let gpu = Gpu::headless().unwrap();
     let eye = Eye::at(Vec3::new(0.3, 1.2, -2.0), Vec3::new(0.3, -1.0, -4.0), 0.7, (160, 120));

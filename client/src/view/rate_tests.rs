@@ -151,6 +151,7 @@ fn a_tier_changes_what_objects_cost_and_nothing_else() {
     let (by_full, by_lowest) = (by_objects(&full), by_objects(&lowest));
     let count = |of: &[bool]| of.iter().filter(|changed| **changed).count();
     let beyond = by_lowest.iter().zip(&by_full).filter(|(lowest, full)| **lowest && !**full).count();
+    println!("{} of {} pixels change with the tier, {} by objects", changed.len(), full.len() / 4, count(&by_full));
     assert!(!changed.is_empty() && count(&by_full) < full.len() / 8 && beyond < 40, "{} {} {beyond}", count(&by_full), count(&by_lowest));
 }
 

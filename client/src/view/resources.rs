@@ -7,6 +7,7 @@ use mr360_shaders::layout::{self, MAX_OCCLUDERS, SHADOW_MAP_SIZE};
 use mr360_shaders::{multiview, sh};
 
 use super::background::{Background, view_uniform};
+use super::cells::cells;
 use super::extent::Part;
 use super::mirror::MirrorLayer;
 use super::pipelines::{BACK_FORMAT, DEPTH_FORMAT, LAYER_FORMAT, Layouts};
@@ -20,6 +21,8 @@ use crate::gpu::Gpu;
 use crate::scene::mesh::Bounds;
 
 pub(super) use mr360_shaders::multiview::VIEW_STRIDE;
+
+const _: () = assert!(2 * MAX_SHADOWS == layout::MOST_SHADOW_MAPS);
 
 /// Everything that lives as long as the renderer, whatever is drawn.
 pub(super) struct Resources {
@@ -247,6 +250,13 @@ fn lighting(stage: &Stage, (light, picture): (&FrameLight, &FrameLight), frusta:
         highest_m: stage.highest(),
         ..layout::Lighting::zeroed()
     };
+    let whose = [(&stage.casters[..], &stage.round[..], frusta), (&stage.place.casters[..], &[], place)];
+    for (maps, (casters, round, frusta)) in out.casters.chunks_mut(MAX_SHADOWS).zip(whose) {
+        for ((to, frustum), light) in maps.iter_mut().zip(frusta).zip(&light.lights) {
+            let round = round.iter().copied().chain(std::iter::repeat(false));
+            *to = cells(frustum, tan_radius(light.solid_angle_sr), casters.iter().copied().zip(round));
+        }
+    }
     for (at, (to, light)) in out.lights.iter_mut().zip(&light.lights).enumerate() {
         *to = layout::Light {
             direction: light.direction.to_array(),

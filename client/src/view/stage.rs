@@ -121,6 +121,8 @@ pub(super) struct Stage {
     /// Those that found no room, the smallest.
     pub(super) occluders_lost: usize,
     pub(super) casters: Vec<Bounds>,
+    /// Of each, whether it is a ball within its cube.
+    pub(super) round: Vec<bool>,
     /// Of objects that throw no shadow.
     pub(super) apart: Vec<Bounds>,
     /// Of the objects that can be moved in the layout as it is.
@@ -252,6 +254,9 @@ impl Stage {
             self.slots.extend(slot.map(|slot| (placed.object.id, slot)));
             let bounds = if casting { &mut self.casters } else { &mut self.apart };
             bounds.push(world);
+            if casting {
+                self.round.push(placed.model.round && is_even(placed.object.transform.scale));
+            }
             self.animated.extend(placed.animation.map(|animation| (placed.object.geometry, animation, world)));
             let shape = match placed.object.geometry {
                 Geometry::Shape(shape) => Some(shape),
@@ -313,6 +318,11 @@ impl<'a> Placed<'a> {
         let world_from_object = Mat4::from_scale_rotation_translation(scale, rotation, position);
         Self { object, model, animation, bounds: model.bounds(animation), world_from_object }
     }
+}
+
+/// A ball of this scale is a ball.
+pub(super) fn is_even(scale: Vec3) -> bool {
+    scale.abs().max_element() <= 1.0001 * scale.abs().min_element()
 }
 
 /// Around a box in the world.
