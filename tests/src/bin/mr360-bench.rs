@@ -202,7 +202,7 @@ struct Headset {
     #[arg(long, default_value = "synthetic:testcard?size=1280x640", value_name = "URL|FILE|synthetic:NAME")]
     source: String,
     /// What it broadcasts where the decoder is fed large frames.
-    #[arg(long, default_value = "synthetic:testcard?size=4096x2048", value_name = "URL|FILE|synthetic:NAME")]
+    #[arg(long, default_value = "synthetic:testcard?size=7680x3840&fps=15", value_name = "URL|FILE|synthetic:NAME")]
     large: String,
     /// What stands in it.
     #[arg(long, default_value = SCENE, hide_default_value = true, value_name = "SCENE.toml")]
