@@ -6,6 +6,8 @@ use std::f32::consts::{PI, TAU};
 
 use glam::Vec3;
 
+use crate::source::MIRROR_ALPHA;
+
 /// GGX alpha of the finest prefiltered level. Each next level has half the texels along a side and a lobe wider by
 /// [`PREFILTER_RATIO`], so that lobes span ever more texels.
 pub const PREFILTER_ALPHA: f32 = 0.03;
@@ -13,6 +15,15 @@ pub const PREFILTER_ALPHA: f32 = 0.03;
 pub const PREFILTER_RATIO: f32 = 2.3;
 /// Prefiltered levels: up to alpha 0.84, roughness 0.92.
 pub const PREFILTER_LEVELS: u32 = 5;
+/// The finest prefiltered level that lobes of this perceptual roughness and wider ones look into; `None` for what is as good as a cone.
+#[must_use]
+pub fn finest_level(roughness: f32) -> Option<u32> {
+    let alpha = roughness.clamp(0.0, 1.0).powi(2);
+    // A thousandth, for the rounding of shaders.
+    let level = (alpha / PREFILTER_ALPHA).log(PREFILTER_RATIO) - 1e-3;
+    (alpha >= MIRROR_ALPHA).then(|| (level.floor().max(0.0) as u32).min(PREFILTER_LEVELS - 1))
+}
+
 /// Most taps of one texel.
 pub const MAX_TAPS: usize = 64;
 
@@ -48,6 +59,17 @@ pub fn taps(alpha: f32, count: usize) -> Vec<Tap> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn lobes_look_into_no_level_finer_than_their_own() {
+        assert_eq!([0.0, 0.1, 0.15, 0.2, 0.27, 0.4, 1.0].map(finest_level), [None, None, Some(0), Some(0), Some(1), Some(2), Some(4)]);
+        for level in 0..PREFILTER_LEVELS {
+            let roughness = (PREFILTER_ALPHA * PREFILTER_RATIO.powi(level as i32)).sqrt();
+            // Rounding must not take away the level that is its own.
+            let found = [0.99, 1.0, 1.01].map(|by| finest_level(roughness * by).unwrap());
+            assert!(found[0] <= level && found[1] <= level && found[2] == level, "{level}: {found:?}");
+        }
+    }
 
     /// D(θ/2)·cos θ, not normalised.
     fn kernel(alpha: f64, z: f64) -> f64 {

@@ -11,7 +11,7 @@ use mr360_protocol::light::Lift;
 use mr360_protocol::video::{StereoLayout, Transfer};
 use mr360_shaders::colour::{bt709_from_primaries, rgb_from_yuv};
 use mr360_shaders::layout;
-use mr360_shaders::source::{Reflections, lift_index, transfer_index};
+use mr360_shaders::source::{lift_index, transfer_index};
 
 use crate::gpu::{Gpu, GpuError};
 use crate::picture::{Picture, Samples};
@@ -20,7 +20,7 @@ use crate::view::timing::PassTimer;
 pub use light::FrameLight;
 pub use upload::UploadError;
 
-use reflection::ReflectionMap;
+use reflection::{How, ReflectionMap};
 use upload::Planes;
 
 /// What stays for a whole stream, and is fixed in pipelines when they are made.
@@ -68,7 +68,7 @@ pub struct Environment {
     stereo: bool,
     reflections: ReflectionMap,
     /// The method that the reflection maps are up to date for.
-    reflected: Option<(Reflections, bool)>,
+    reflected: Option<How>,
 }
 
 impl Environment {
@@ -143,14 +143,13 @@ impl Environment {
         self.reflected = None;
     }
 
-    /// Records the rebuilding of what reflections are looked up in, if picture, light or `how` changed since the last time: how lobes are
-    /// looked up, and whether pictures are resampled finely.
+    /// Records the rebuilding of what reflections are looked up in, if picture, light or `how` changed since the last time.
     pub(crate) fn refresh_reflections(
         &mut self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
         light: &FrameLight,
-        how: (Reflections, bool),
+        how: How,
         timer: &mut PassTimer,
     ) {
         if self.reflected != Some(how) {

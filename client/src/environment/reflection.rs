@@ -28,6 +28,16 @@ const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
 /// Texels along a side of a workgroup.
 const GROUP: u32 = 8;
 
+/// How reflections are looked up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct How {
+    pub(crate) method: Reflections,
+    /// Pictures are resampled finely.
+    pub(crate) fine: bool,
+    /// The finest prefiltered level that is looked into; none where nothing is.
+    pub(crate) lobes_from: Option<u32>,
+}
+
 pub(super) struct ReflectionMap {
     bind_group: wgpu::BindGroup,
     /// By the kind of video and the number of SH coefficients.
@@ -169,17 +179,17 @@ impl ReflectionMap {
         &self.bind_group
     }
 
-    /// Lift and mips, and the prefiltered maps where that is how lobes are looked up.
+    /// Lift and mips, and of the prefiltered maps those that are looked into.
     pub(super) fn record(
         &mut self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
         (kind, video): (VideoKind, &wgpu::BindGroup),
         eye_width: u32,
-        (light, (method, fine)): (&FrameLight, (Reflections, bool)),
+        (light, how): (&FrameLight, How),
         timer: &mut PassTimer,
     ) {
-        gpu.queue.write_buffer(&self.lift_uniform, 0, bytemuck::bytes_of(&lift_uniform(eye_width, fine, light)));
+        gpu.queue.write_buffer(&self.lift_uniform, 0, bytemuck::bytes_of(&lift_uniform(eye_width, how.fine, light)));
         let lift = self.lifts.entry((kind, light.sh_count)).or_insert_with(|| {
             let [own, video] = &self.lift_layouts;
             let [a, b, c, d] = kind.constants();
@@ -199,9 +209,9 @@ impl ReflectionMap {
         for (at, group) in self.mip_groups.iter().enumerate() {
             faces(&mut pass, group, SIDE >> (at + 1));
         }
-        if method == Reflections::Prefiltered {
+        if let Some(finest) = how.lobes_from.filter(|_| how.method == Reflections::Prefiltered) {
             pass.set_pipeline(&self.prefilter);
-            for (at, group) in self.prefilter_groups.iter().enumerate() {
+            for (at, group) in self.prefilter_groups.iter().enumerate().skip(finest as usize) {
                 faces(&mut pass, group, PREFILTER_SIDE >> at);
             }
         }

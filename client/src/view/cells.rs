@@ -85,7 +85,9 @@ mod tests {
                     marked += usize::from(cells.is_marked(row, column));
                 }
                 let all = points().count();
-                assert!(found > 0 && (tan_radius > 0.05 || marked < all * 3 / 4), "{direction} {tan_radius}: {found} {marked} of {all}");
+                // Boxes seen along the ground are wide.
+                let few = marked < all * 3 / 5 || tan_radius > 0.05 || direction.y < 0.4;
+                assert!(found > 0 && few, "{direction} {tan_radius}: {found} {marked} of {all}");
             }
         }
     }

@@ -67,6 +67,7 @@ use mr360_shaders::layout;
 use mr360_shaders::source::Reflections;
 
 use crate::camera::Camera;
+use crate::environment::reflection::How;
 use crate::environment::{Environment, FrameLight};
 use crate::governor::Tier;
 use crate::gpu::{Gpu, GpuError};
@@ -268,6 +269,10 @@ impl Renderer {
                 "only the {most} largest of the objects shade what is beside them, {lost} do not; make one model of several objects"
             );
         }
+        // Levels that were not asked for until now.
+        if self.stage.needs.lobes_from != stage.needs.lobes_from {
+            self.unreflected = u32::MAX;
+        }
         self.stage = stage;
         self.shadows = [None; plan::MAX_SHADOWS];
         self.place_shown.clear();
@@ -387,12 +392,13 @@ impl Renderer {
             environment.set_light(gpu, &self.light);
             self.unreflected = self.unreflected.saturating_add(1);
         }
+        let how = How { method: self.reflections, fine: self.fine, lobes_from: self.stage.needs.lobes_from };
         if plan.reflections && (plan.reflections_every == 1 || self.unreflected >= plan.reflections_every) {
             if self.unreflected > 0 {
                 self.reflected = self.light.clone();
             }
             self.unreflected = 0;
-            environment.refresh_reflections(gpu, encoder, &self.light, (self.reflections, self.fine), &mut self.timer);
+            environment.refresh_reflections(gpu, encoder, &self.light, how, &mut self.timer);
         }
         let frusta: Vec<Frustum> =
             self.current.lights.iter().take(plan.shadows).map(|light| self.resources.frustum(light, &self.stage)).collect();

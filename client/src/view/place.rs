@@ -7,6 +7,7 @@ use glam::{Mat3, Mat4, Vec3};
 use mr360_protocol::light::DirectionalLight;
 use mr360_protocol::scene::{Geometry, Gloss, PlaceMesh};
 use mr360_shaders::layout;
+use mr360_shaders::lobe::finest_level;
 use mr360_shaders::source::{OCCLUDER_REACH, ROUGH_TO, Surface};
 
 use super::material::Look;
@@ -55,6 +56,7 @@ impl Stage {
         }
         *parts += model.parts.len();
         self.needs.glossy_place |= is_glossy(mesh.gloss);
+        self.needs.add_lobes(finest_level(mesh.gloss.roughness).filter(|_| is_glossy(mesh.gloss)));
         let transform = mesh.transform;
         let world_from_object = Mat4::from_scale_rotation_translation(transform.scale, transform.rotation, transform.position);
         let normals = Mat3::from_mat4(world_from_object).inverse().transpose();

@@ -68,6 +68,8 @@ pub struct SceneNeeds {
     pub objects: usize,
     /// Some surface is smooth enough to reflect, or is glass.
     pub reflective: bool,
+    /// Finest of the prefiltered levels that its lobes look into; none where all are cones.
+    pub lobes_from: Option<u32>,
     /// Some object reaches beneath the ground.
     pub beneath_ground: bool,
     /// Some surface is glass.
@@ -76,6 +78,13 @@ pub struct SceneNeeds {
     pub glossy_ground: bool,
     /// Some mesh of the place mirrors objects.
     pub glossy_place: bool,
+}
+
+impl SceneNeeds {
+    /// A surface has lobes of this level and wider ones, if any.
+    pub fn add_lobes(&mut self, finest: Option<u32>) {
+        self.lobes_from = self.lobes_from.into_iter().chain(finest).min();
+    }
 }
 
 impl Plan {

@@ -143,7 +143,7 @@ fn a_tier_changes_what_objects_cost_and_nothing_else() {
     let changed: Vec<usize> =
         full.chunks_exact(4).zip(lowest.chunks_exact(4)).enumerate().filter(|(_, (a, b))| a != b).map(|p| p.0).collect();
     assert_eq!(full, frame(0).0, "and back");
-    // What objects change without anything left out: less than half of the picture. With all left out they change no more, but for
+    // What objects change without anything left out: a little over a third of the picture, of which a tenth stays as it is in all tiers. With all left out they change no more, but for
     // pixels at edges, whose middles may lie in what none of four samples meets.
     renderer.set_visible(false);
     let empty = draw_with(&mut renderer).0;
@@ -152,7 +152,12 @@ fn a_tier_changes_what_objects_cost_and_nothing_else() {
     let count = |of: &[bool]| of.iter().filter(|changed| **changed).count();
     let beyond = by_lowest.iter().zip(&by_full).filter(|(lowest, full)| **lowest && !**full).count();
     println!("{} of {} pixels change with the tier, {} by objects", changed.len(), full.len() / 4, count(&by_full));
-    assert!(!changed.is_empty() && count(&by_full) < full.len() / 8 && beyond < 40, "{} {} {beyond}", count(&by_full), count(&by_lowest));
+    assert!(
+        !changed.is_empty() && count(&by_full) < full.len() / 10 && changed.len() < full.len() / 12 && beyond < 40,
+        "{} {} {beyond}",
+        count(&by_full),
+        count(&by_lowest)
+    );
 }
 
 #[test]

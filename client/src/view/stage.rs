@@ -7,6 +7,7 @@ use glam::{Mat4, Vec3};
 use mr360_protocol::asset::AssetId;
 use mr360_protocol::scene::{Geometry, Gloss, Material, MaterialKind, Object, ObjectId, Scene, Transform};
 use mr360_shaders::layout::{self, MAX_OCCLUDERS};
+use mr360_shaders::lobe::finest_level;
 use mr360_shaders::source::{Alpha, OCCLUDER_REACH, Surface};
 
 use super::local::{casts, is_local};
@@ -181,6 +182,7 @@ impl Stage {
         placed.sort_by_key(key);
         let mut stage = Self { ground_y: scene.ground_y, ground_gloss: scene.ground, ..Self::default() };
         stage.needs.glossy_ground = is_glossy(scene.ground);
+        stage.needs.add_lobes(finest_level(scene.ground.roughness).filter(|_| stage.needs.glossy_ground));
         for run in placed.chunk_by(|a, b| key(a) == key(b)) {
             stage.add_run(run);
         }
@@ -221,6 +223,12 @@ impl Stage {
                 _ if varies => Surface::Varying,
                 own => own,
             };
+            let finest = match surface {
+                Surface::Rough | Surface::Mirror => None,
+                Surface::Varying => Some(0),
+                Surface::Glossy | Surface::Glass => used.iter().filter_map(|i| finest_level(i.roughness)).min(),
+            };
+            self.needs.add_lobes(finest);
             if surface == Surface::Glass {
                 self.needs.glass = true;
                 self.glass.extend(run.iter().map(|placed| placed.world_from_object.transform_point3(part.center)));
