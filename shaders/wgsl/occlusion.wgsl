@@ -94,9 +94,7 @@ fn real_ratio(world: vec3<f32>, normal: vec3<f32>, ambient: vec3<f32>, unshadowe
         let factor = sphere_form_factor(to_center, occluder.radius, normal);
         changed = changed || factor > 0.0;
         // Mean radiance behind the sphere over that from above: of a small one what lies behind its middle, and all there is behind one that fills the view.
-        // Within its reach a sphere is wider than what the bands above the second tell apart.
-        let behind = max(sh_sum(9u, normalize(to_center), RADIANCE_BAND), vec3(0.0));
-        let hidden = mix(behind * PI / max(ambient, vec3(1e-6)), vec3(1.0), factor);
+        let hidden = mix(sh_radiance(normalize(to_center)) * PI / max(ambient, vec3(1e-6)), vec3(1.0), factor);
         // Of the colour of what is hidden: what the underside shows lies about the point, not overhead.
         let share = min(dot(sky, LUMA) / max(dot(hidden, LUMA), 1e-6), 0.5);
         let taken = factor * hidden * (1.0 - occluder.albedo * lighting.ground_reflectance - occluder.specular * share);
