@@ -51,8 +51,9 @@ pub(super) struct Menu {
 }
 
 impl Menu {
-    pub(super) fn is_down(&self) -> bool {
-        self.since.is_some()
+    /// Calls off a press that is under way, as nobody knows how long it went on: it is neither short nor long.
+    pub(super) fn unknown(&mut self) {
+        self.told = true;
     }
 
     pub(super) fn update(&mut self, down: bool, now: ClientTime) -> Press {
@@ -92,5 +93,20 @@ mod tests {
         let mut at = |down, ms: u64| menu.update(down, ClientTime(ms * 1000));
         assert_eq!([at(true, 0), at(true, 500), at(false, 600)], [Press::None, Press::None, Press::Short]);
         assert_eq!([at(true, 1000), at(true, 1700), at(true, 2500), at(false, 2600)], [Press::None, Press::Long, Press::None, Press::None]);
+    }
+
+    #[test]
+    fn a_menu_press_that_is_lost_sight_of_is_none_and_the_next_is_one() {
+        let at = |menu: &mut Menu, down, ms: u64| menu.update(down, ClientTime(ms * 1000));
+        for down_again in [false, true] {
+            let mut menu = Menu::default();
+            assert_eq!(at(&mut menu, true, 0), Press::None);
+            menu.unknown();
+            let after = [at(&mut menu, down_again, 900), at(&mut menu, down_again, 2000), at(&mut menu, false, 2100)];
+            assert_eq!(after, [Press::None; 3], "down again: {down_again}");
+            // Lost while it is up it calls nothing off.
+            menu.unknown();
+            assert_eq!([at(&mut menu, true, 3000), at(&mut menu, false, 3100)], [Press::None, Press::Short]);
+        }
     }
 }

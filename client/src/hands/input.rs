@@ -64,7 +64,8 @@ pub struct HandInput {
     pub grip: Option<Pose>,
     /// Where it points, as OpenXR's `aim/pose`.
     pub aim: Option<Pose>,
-    /// Trigger, 0 to 1; not a number while it is not known, as without focus: then it and the menu button are as they were.
+    /// Trigger, 0 to 1; not a number while it is not known, as without focus: then it is as it was, and a press of
+    /// the menu button comes to nothing.
     pub select: f32,
     /// Grip, 0 to 1; not a number while it is not known.
     pub squeeze: f32,

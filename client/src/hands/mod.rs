@@ -195,9 +195,12 @@ impl Hands {
                 _ => {}
             }
         }
-        // What the runtime does not tell is as it was.
-        let menu = if own.select.is_nan() { self.hands[hand].menu.is_down() } else { own.menu };
-        match (self.hands[hand].menu.update(menu, input.now), self.holding(hand)) {
+        // Of a button that the runtime does not tell nobody can say how long it was down.
+        if own.select.is_nan() {
+            self.hands[hand].menu.unknown();
+            return;
+        }
+        match (self.hands[hand].menu.update(own.menu, input.now), self.holding(hand)) {
             (Press::Short, None) => self.hands[hand].palette.cycle(world.library()),
             (Press::Short, Some(at)) => self.snap(at, world, out),
             (Press::Long, None) => out.placing.push(PlacingChange::Recentre),

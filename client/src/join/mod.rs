@@ -8,6 +8,7 @@ mod shared_scene;
 mod standing;
 #[cfg(test)]
 mod tests;
+mod wishes;
 
 pub use args::{JoinArgs, Mode};
 pub use live_stage::LiveStage;
@@ -16,7 +17,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
-use mr360_protocol::intent::{Action, PUT_BURST, PUT_INTERVAL_US, Rate};
+use mr360_protocol::intent::Action;
 use mr360_protocol::stop::asked_to_stop;
 use winit::event_loop::EventLoop;
 
@@ -26,7 +27,7 @@ use crate::decode::VideoDecoder;
 use crate::frame_loop::{BoxError, FrameLoop, Inputs};
 use crate::gpu::{self, Gpu};
 use crate::headless::{self, Files, Graphics};
-use crate::receive::{Receiver as Network, User};
+use crate::receive::Receiver as Network;
 use crate::script::{self, Deed, Player};
 use crate::stats::Stats;
 use crate::sync::ClientClock;
@@ -38,6 +39,7 @@ use arrivals::Arrivals;
 use inbox::Inbox;
 use shared_scene::SharedScene;
 use standing::Standing;
+use wishes::wishes;
 
 /// Joins a broadcast and presents it until the user, a limit, or the broadcast's end.
 ///
@@ -77,7 +79,7 @@ fn present(settings: &Settings, stats: Stats, outputs: Outputs, (deeds, recorder
     inbox.spawn(events, Arc::clone(&end), Arc::clone(&settings.stop))?;
 
     let mut frames = FrameLoop::new(inputs, clock, stats);
-    let mut act = wishes(user, recorder, clock);
+    let mut act = wishes(move |action| user.wish(action), recorder, scene.clone(), move || clock.now());
     if let Some(deeds) = deeds {
         frames.play(Player::new(deeds, Box::new(act.clone())));
     }
@@ -115,8 +117,9 @@ fn in_headset(
         let stage = LiveStage::new(gpu, scene.clone(), settings.governor(Some(HEADSET_MHZ)))?;
         Ok(settings.stage(stage.with_background(settings.parallax, settings.resampling)))
     };
-    let mut spectator =
-        Spectator::new(&settings.window(frames.frames())).inspect_err(|error| tracing::debug!("no window mirrors the headset: {error}")).ok();
+    let mut spectator = Spectator::new(&settings.window(frames.frames()))
+        .inspect_err(|error| tracing::debug!("no window mirrors the headset: {error}"))
+        .ok();
     let surroundings = xr::Surroundings { open: &mut open, act: &mut *act, eyes, spectator: spectator.as_mut() };
     match xr::run(frames, &settings.headset(frames.frames()), surroundings) {
         Err(error @ XrError::NoHeadset { .. }) => {
@@ -124,29 +127,6 @@ fn in_headset(
             in_window(frames, settings, scene, act, spectator.map(Spectator::into_event_loop))
         }
         result => result.map(drop).map_err(Into::into),
-    }
-}
-
-/// Where wishes go: to the server, and into the script that is recorded. What the server would refuse as too much at once goes nowhere; half
-/// of that is left for what comes to it in a heap.
-fn wishes(user: User, recorder: Option<script::Recorder>, clock: ClientClock) -> impl FnMut(Action) + Clone + Send + 'static {
-    let recorder = recorder.map(|recorder| Arc::new(Mutex::new(recorder)));
-    let rate = Arc::new(Mutex::new(Rate::default()));
-    move |action: Action| {
-        let counts = matches!(action, Action::Put { .. } | Action::Remove(_));
-        if counts && !rate.lock().unwrap_or_else(PoisonError::into_inner).take(clock.now().0, PUT_BURST / 2) {
-            tracing::warn!(
-                ?action,
-                "not done: only {} objects are put or removed at once and one more every {} ms; wait a moment",
-                PUT_BURST / 2,
-                PUT_INTERVAL_US / 1_000
-            );
-            return;
-        }
-        if let Some(recorder) = &recorder {
-            recorder.lock().unwrap_or_else(PoisonError::into_inner).write(&Deed::Action(clock.now(), action.clone()));
-        }
-        user.wish(action);
     }
 }
 

@@ -363,6 +363,26 @@ fn glass_has_textures_vertex_colours_and_holes() {
 }
 
 #[test]
+fn glass_with_a_roughness_texture_has_all_its_levels_filled() {
+    let gpu = Gpu::headless().unwrap();
+    let finest = |textured: bool| {
+        let mut file = white([0.0, 0.0, 1.0], &glass());
+        file.json["materials"][0]["pbrMetallicRoughness"]["roughnessFactor"] = json!(0.6);
+        if textured {
+            let texture = file.texture(1, &[[255, 77, 255, 255]], json!({}));
+            file.json["materials"][0]["pbrMetallicRoughness"]["metallicRoughnessTexture"] = json!({ "index": texture });
+        }
+        let stand = ahead(&file);
+        let mut renderer = Renderer::new(&gpu, wgpu::TextureFormat::Rgba8Unorm).unwrap();
+        assert!(renderer.set_scene(&gpu, &stand.scene, &|id| stand.models.get(&id).cloned().map(Ok)).is_empty());
+        renderer.stage.needs.lobes_from
+    };
+    // Roughness 0.6 alone, and 0.6 · 0.3.
+    assert_eq!((finest(false), finest(true)), (mr360_shaders::lobe::finest_level(0.6), Some(0)));
+    assert!(finest(false) > Some(0));
+}
+
+#[test]
 fn blended_surfaces_are_seen_through_glass_and_before_it() {
     let gpu = Gpu::headless().unwrap();
     let picture = even(0.5);

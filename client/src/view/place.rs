@@ -6,7 +6,7 @@ use bytemuck::Zeroable as _;
 use glam::{Mat3, Mat4, Vec3};
 use mr360_protocol::light::DirectionalLight;
 use mr360_protocol::scene::{Geometry, Gloss, PlaceMesh};
-use mr360_shaders::layout;
+use mr360_shaders::layout::{self, SHADOW_MAP_SIZE};
 use mr360_shaders::lobe::finest_level;
 use mr360_shaders::source::{OCCLUDER_REACH, ROUGH_TO, Surface};
 
@@ -15,7 +15,7 @@ use super::models::Models;
 use super::pipelines::{Kind, Use};
 use super::plan::MAX_SHADOWS;
 use super::resources::VIEW_STRIDE;
-use super::shadows::{Frustum, LONGEST_SHADOW_M, fit_over};
+use super::shadows::{Frustum, LONGEST_SHADOW_M, STEPS_AN_OCTAVE, fit_over};
 use super::stage::{Draw, MAX_INSTANCES, ModelFault, Stage};
 use super::{FrameReport, PLACE_SHADOWS, Renderer, depth_attachment, draw_part};
 use crate::environment::FrameLight;
@@ -28,6 +28,11 @@ const MOST_CASTERS: usize = 64;
 const MOST_SHADOW_PIECES: usize = 16;
 /// Tangent of the widest light whose penumbrae are followed beside what objects can change.
 const WIDEST_TAN: f32 = 0.5;
+/// Fall of the shadows that there is room for in any case, metres: about that of what stands in a room.
+const USUAL_FALL_M: f32 = 2.0;
+/// Side of a texel up to which a map grows for penumbrae from farther above, metres. Shadows part from their casters by about a texel, which
+/// shows from a few centimetres on; penumbrae that are wider than this leaves room for lose the outermost of what hides their light.
+const COARSEST_TEXEL_M: f32 = 0.015;
 
 /// What of the place is drawn until the scene changes.
 #[derive(Debug, Default)]
@@ -111,14 +116,33 @@ impl Stage {
     /// One light's view of the place, over all that objects can change: there alone its shadows are asked for.
     pub(super) fn place_frustum(&self, light: &DirectionalLight) -> Frustum {
         let changed: Vec<_> = self.occluders.iter().map(reach).chain(self.casters.iter().copied()).collect();
-        let along = |boxes: &[Bounds]| {
-            let depths = boxes.iter().flat_map(Bounds::corners).map(|corner| corner.dot(light.direction));
-            depths.fold((f32::INFINITY, f32::NEG_INFINITY), |(least, most), depth| (least.min(depth), most.max(depth)))
-        };
-        // From the caster nearest to the light to the farthest of what it may leave in a penumbra.
-        let fall_m = (along(&self.place.casters).1 - along(&changed).0).clamp(0.0, LONGEST_SHADOW_M);
-        fit_over(light.direction, &changed, &self.place.casters, tan_radius(light.solid_angle_sr).min(WIDEST_TAN) * fall_m)
+        let (right, up) = light.direction.any_orthonormal_pair();
+        let light_from_world = Mat3::from_cols(right, up, light.direction).transpose();
+        let seen = |bounds: &Bounds| bounds.corners().iter().fold(Bounds::EMPTY, |b, at| b.including(light_from_world * *at));
+        let square = changed.iter().map(seen).fold(Bounds::EMPTY, |all, one| all.joined(&one));
+        let tan = tan_radius(light.solid_angle_sr).clamp(0.0, WIDEST_TAN);
+        let least_m = tan * USUAL_FALL_M;
+        let counts = |caster: &Bounds| margin_for(&square, &seen(caster), tan).map(|margin_m| (*caster, margin_m));
+        let (mut casters, margins): (Vec<_>, Vec<_>) = self.place.casters.iter().filter_map(counts).unzip();
+        if casters.is_empty() {
+            casters.clone_from(&self.place.casters);
+        }
+        let half = square.half().truncate().max_element();
+        let room_m = 0.5 * SHADOW_MAP_SIZE as f32 * COARSEST_TEXEL_M / (1.0 / STEPS_AN_OCTAVE).exp2() - half;
+        let margin_m = margins.into_iter().fold(least_m, f32::max).min(room_m.max(least_m));
+        // What counts for nothing gives no depth either: the shaders search the wider the farther they are from the nearest plane.
+        fit_over(light.direction, &changed, &casters, margin_m)
     }
+}
+
+/// How far beside the square of what objects can change a caster counts, metres; none where its penumbra ends before. Both boxes are in the
+/// light's frame, z towards it. A penumbra is as wide as the tangent times the way to the farthest of what it may lie on;
+/// objects' own shadows fall farther than the square reaches, and spread as much.
+fn margin_for(square: &Bounds, caster: &Bounds, tan: f32) -> Option<f32> {
+    let wide_m = tan * (caster.max.z - square.min.z).clamp(0.0, LONGEST_SHADOW_M);
+    let gap = (square.min - caster.max).max(caster.min - square.max).truncate();
+    let beyond = (square.min - caster.min).max(caster.max - square.max).truncate();
+    (gap.max_element() < wide_m + 2.0 * tan * USUAL_FALL_M).then(|| beyond.max_element().clamp(0.0, wide_m))
 }
 
 /// What an occluder hides the sky from.

@@ -144,6 +144,42 @@ fn what_is_far_above_leaves_its_penumbra() {
 }
 
 #[test]
+fn what_is_far_above_leaves_low_shadows_fine() {
+    let gpu = Gpu::headless().unwrap();
+    let eye = Eye::at(Vec3::new(0.3, 0.2, -2.2), Vec3::new(0.3, GROUND_Y + 0.2, -4.0), 0.6, (120, 90));
+    let sun = light(Vec3::Y, 0.7, Vec3::ONE * 4.0, 1);
+    let table = block(Vec3::new(0.3, GROUND_Y + 0.2, -4.0), Vec3::new(0.5, 0.02, 0.4));
+    // Half beneath the table.
+    let ball = Solid::Ball { center: Vec3::new(0.3, GROUND_Y + 0.08, -3.6), radius: 0.08 };
+    let small = |x: f32| block(Vec3::new(x, GROUND_Y + 30.0, -4.0), Vec3::splat(0.1));
+    let roof = block(Vec3::new(-19.0, GROUND_Y + 59.0, -4.0), Vec3::new(20.0, 0.05, 20.0));
+    let frustum = |real: &[(Solid, bool)]| {
+        let mut renderer = Renderer::new(&gpu, wgpu::TextureFormat::Rgba8Unorm).unwrap();
+        let (scene, assets) = scene(&[ball], real);
+        assert!(renderer.set_scene(&gpu, &scene, &|id| assets.get(&id).cloned().map(Ok)).is_empty());
+        renderer.stage.place_frustum(&sun)
+    };
+    let alone = frustum(&[(table, true)]);
+    for x in [40.0, 0.3] {
+        let with = frustum(&[(table, true), (small(x), true)]);
+        assert_eq!(with.texel_m(), alone.texel_m(), "a small thing at {x} m");
+    }
+    let under_roof = frustum(&[(table, true), (roof, true)]);
+    assert!(under_roof.texel_m() > alone.texel_m() && under_roof.texel_m() <= 0.015, "{} m", under_roof.texel_m());
+    // The picture: what is aside hides nothing of the light.
+    assert_eq!(frustum(&[(table, true), (small(40.0), true)]), alone);
+    let draw = |real: &[(Solid, bool)]| {
+        let (scene, assets) = scene(&[ball], real);
+        eye.draw_scene(&gpu, &scene, &assets, vec![sun])
+    };
+    let (bare, low, both) = (draw(&[]), draw(&[(table, true)]), draw(&[(table, true), (small(40.0), true)]));
+    let worst = |a: &[Vec3], b: &[Vec3]| a.iter().zip(b).map(|(a, b)| (*a - *b).abs().max_element()).fold(0.0, f32::max);
+    println!("the table changes up to {}, what is far aside up to {}", worst(&bare, &low), worst(&low, &both));
+    // The same maps, to the layer's rounding.
+    assert!(worst(&bare, &low) > 0.1 && worst(&low, &both) < 1e-3, "{} against {}", worst(&low, &both), worst(&bare, &low));
+}
+
+#[test]
 fn a_table_of_the_place_catches_the_shadow() {
     let gpu = Gpu::headless().unwrap();
     let eye = Eye::at(Vec3::new(0.3, 1.2, -2.0), Vec3::new(0.3, -1.0, -4.0), 0.7, (160, 120));

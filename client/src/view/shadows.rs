@@ -7,7 +7,7 @@ use mr360_shaders::layout::{self, SHADOW_MAP_SIZE};
 use crate::scene::mesh::Bounds;
 
 /// Sides that a frustum may have between one and its double.
-const STEPS_AN_OCTAVE: f32 = 4.0;
+pub(super) const STEPS_AN_OCTAVE: f32 = 4.0;
 /// Texels beside the casters that stay empty, one of them for the snap: what lies at the edge is taken for all beyond.
 const EMPTY_TEXELS: f32 = 3.0;
 /// Shadows on the ground end at this distance from their caster, metres.

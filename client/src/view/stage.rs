@@ -213,7 +213,7 @@ impl Stage {
                 Surface::Glass if !part.surface.unlit => part.look.solid(),
                 _ => part.look,
             };
-            // Textures and spread normals make a surface rougher than it says, and never smoother.
+            // A texture makes a surface smoother than its factor says, and spread normals make it rougher: those leave rough what is.
             let varies =
                 look.varies() && !part.surface.glass && (own != Surface::Rough || part.surface.metallic_roughness_texture.is_some());
             let unlit = own_material && part.surface.unlit;
@@ -226,6 +226,8 @@ impl Stage {
             let finest = match surface {
                 Surface::Rough | Surface::Mirror => None,
                 Surface::Varying => Some(0),
+                // One pipeline does for glass of every roughness, but its lobes vary as those of others.
+                Surface::Glass if look.varies() => Some(0),
                 Surface::Glossy | Surface::Glass => used.iter().filter_map(|i| finest_level(i.roughness)).min(),
             };
             self.needs.add_lobes(finest);

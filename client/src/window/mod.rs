@@ -107,11 +107,14 @@ pub fn run<S: Stage>(
         controls: Controls::new(),
         left_down: false,
         shown: None,
+        tried: false,
         first_frame,
         begin: Instant::now(),
         reopened: Vec::new(),
         outcome: Ok(()),
     };
+    // One that has run before may be set to wait for events of windows, of which there is none yet.
+    event_loop.set_control_flow(ControlFlow::Poll);
     let ran = event_loop.run_app(&mut app);
     let App { frames, outcome, .. } = app;
     outcome?;
@@ -152,6 +155,8 @@ struct App<'a, S> {
     /// The left button.
     left_down: bool,
     shown: Option<Shown<S>>,
+    /// A window was asked for, whatever came of it.
+    tried: bool,
     first_frame: u64,
     begin: Instant,
     reopened: Vec<Instant>,
@@ -170,6 +175,7 @@ impl<S: Stage> App<'_, S> {
     }
 
     fn create(&mut self, event_loop: &ActiveEventLoop) -> Result<(), WindowError> {
+        self.tried = true;
         let (width, height) = self.options.size;
         let attributes = Window::default_attributes()
             .with_title(self.options.title.clone())
@@ -357,6 +363,13 @@ impl<S: Stage> ApplicationHandler for App<'_, S> {
     }
 
     fn about_to_wait(&mut self, event_loop: &ActiveEventLoop) {
+        // An event loop that has run before, as a spectator's, is not resumed again.
+        if !self.tried {
+            self.resumed(event_loop);
+            if self.outcome.is_err() {
+                return;
+            }
+        }
         match self.turn() {
             Ok(true) => self.end(event_loop, Ok(())),
             Ok(false) => {

@@ -39,6 +39,8 @@ use crate::hands::Hands;
 const RETRY: Duration = Duration::from_secs(2);
 /// From one question to a session that wants no frames to the next.
 const LISTEN: Duration = Duration::from_millis(10);
+/// From one look after the spectators' window to the next while there is no session.
+const ATTEND: Duration = Duration::from_millis(100);
 /// Sessions in a row that were lost before they showed anything, after which the headset is given up.
 const MAX_LOST: u32 = 3;
 
@@ -106,7 +108,13 @@ pub fn run<S: Stage>(frames: &mut FrameLoop, options: &XrOptions, mut surroundin
         if let Some(news) = patience.after(fault, frames.frames() > before)? {
             tracing::warn!("{news}; the broadcast goes on");
         }
-        if pass_for(frames, &limits, RETRY) {
+        // The session has let go of it; its window would seem to hang.
+        let mut attend = || {
+            if let Some(spectator) = surroundings.spectator.as_deref_mut() {
+                spectator.attend();
+            }
+        };
+        if pass_for(frames, &limits, RETRY, &mut attend) {
             break;
         }
     }
@@ -174,14 +182,18 @@ impl Limits<'_> {
     }
 }
 
-/// Lets the broadcast run on unseen for a while. True when the run is over.
-fn pass_for(frames: &mut FrameLoop, limits: &Limits<'_>, time: Duration) -> bool {
-    let until = ClientTime(frames.clock().now().0 + time.as_micros() as u64);
-    while frames.clock().now() < until {
+/// Lets the broadcast run on unseen for a while, and calls `attend` at least once each [`ATTEND`]. True when the run is over.
+fn pass_for(frames: &mut FrameLoop, limits: &Limits<'_>, time: Duration, attend: &mut dyn FnMut()) -> bool {
+    let after = |now: ClientTime, time: Duration| ClientTime(now.0 + time.as_micros() as u64);
+    let mut now = frames.clock().now();
+    let until = after(now, time);
+    while now < until {
+        attend();
         if frames.pass().ended || limits.are_reached(frames) {
             return true;
         }
-        frames.rest(Some(until));
+        frames.rest(Some(until.min(after(now, ATTEND))));
+        now = frames.clock().now();
     }
     false
 }
@@ -226,7 +238,8 @@ fn present<S: Stage>(
         wish(hands.let_go_when_idle(frames.clock().now()), frames.clock().now(), stage, act);
         let ended = match headset.listen(stage.ground_y()).map_err(Fault::within_session)? {
             Standing::Running => frame(frames, headset, stage, hands, act).map_err(Fault::within_session)?,
-            Standing::Stopped => pass_for(frames, limits, LISTEN),
+            // Listening to the headset attends to the spectators.
+            Standing::Stopped => pass_for(frames, limits, LISTEN, &mut || {}),
             Standing::Ended => {
                 limits.options.stop.store(true, Ordering::Relaxed);
                 true
@@ -295,6 +308,21 @@ mod tests {
             assert!(patience.after(device_lost(), false).unwrap().is_some());
         }
         assert!(matches!(patience.after(device_lost(), false), Err(XrError::NoHeadset { detail }) if detail.contains("in a row")));
+    }
+
+    #[test]
+    fn the_spectators_are_attended_to_again_and_again_while_there_is_no_session() {
+        let (mut frames, feeder) = crate::headless::tests::endless_frame_loop();
+        let options = XrOptions { frames: None, duration: None, stop: Arc::default() };
+        let limits = Limits { options: &options, begin: Instant::now(), first_frame: 0 };
+        let mut attended = 0;
+        let over = pass_for(&mut frames, &limits, Duration::from_secs(60), &mut || {
+            attended += 1;
+            options.stop.store(attended == 3, Ordering::Relaxed);
+        });
+        assert_eq!((over, attended), (true, 3));
+        drop(frames);
+        feeder.join().unwrap();
     }
 
     #[test]

@@ -91,6 +91,13 @@ impl Spectator {
         }
     }
 
+    /// The same where there is no session: a window that has not opened waits for one.
+    pub(super) fn attend(&mut self) {
+        if self.shown.window.is_some() {
+            self.listen();
+        }
+    }
+
     /// Submits a copy of the first layer of what the runtime lent, which is left as it wants it back. True when it is to be shown.
     pub(super) fn copy(&mut self, texture: &wgpu::Texture, now: ClientTime) -> bool {
         let due = self.last.is_none_or(|last| now.0 >= last.0.saturating_add(INTERVAL_US));

@@ -29,6 +29,8 @@ pub(super) struct Scene<'a> {
     pub(super) regions: &'a Regions,
     /// Luminance of the upper hemisphere.
     pub(super) luminance: &'a [f32],
+    /// Whether it is true HDR.
+    pub(super) hdr: bool,
     /// Degree to which each texel is clipped; `None` in a frame that does not clip.
     pub(super) clipped: Option<&'a [f32]>,
     /// What exceeds this luminance is light.
@@ -125,10 +127,11 @@ impl Bright {
 }
 
 impl Brightest {
-    /// Direction of what is not clipped in a candidate. Of a wide source that is where it is brightest; where parts of it clip, that is not known.
+    /// Direction of what is not clipped in a candidate. Of a wide source in true HDR that is where it is brightest. In LDR, spots along a source differ by
+    /// less than the steps and the grain of codes near white, and by nothing where they clip: there the core is what holds still.
     fn direction(&mut self, scene: &Scene<'_>, rest: &Candidate) -> DVec3 {
         let excess = scene.excess(scene.clipped);
-        if scene.clipped.is_some() || rest.radius() <= CAP_RAD {
+        if !scene.hdr || rest.radius() <= CAP_RAD {
             return excess.core(rest);
         }
         let brightest = self.of(&scene.panorama.geometry, scene.luminance, excess.runs(rest));

@@ -155,6 +155,7 @@ impl Directional {
                 panorama: &self.panorama,
                 regions: &self.regions,
                 luminance: self.luminance.texels(),
+                hdr: self.panorama.is_hdr(),
                 clipped: recovered.map(|_| degree),
                 threshold,
                 mean: statistics.mean,

@@ -22,49 +22,108 @@ pub(super) fn set_enabled(colliders: &mut ColliderSet, collider: Option<Collider
     }
 }
 
+/// What an object does in the step that is about to be made.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Part {
+    /// Nothing, unless something hits it.
+    Rests,
+    Held,
+    Free,
+    /// Nothing, unless there is room for it again; so many triangles of the place lie in its box.
+    Hangs(usize),
+}
+
 /// An object as it is about to be stepped.
 struct Boxed {
     id: ObjectId,
-    moves: bool,
+    part: Part,
     bounds: Aabb,
 }
 
 impl Physics {
     /// Takes out of the next step what would make it too long: a held object then passes through everything, another one hangs where it is
-    /// until somebody takes hold of it. Those of the lowest ids stay in, so that the same wishes have the same end.
-    pub(super) fn keep_affordable(&mut self) {
+    /// until there is room for it. Those of the lowest ids stay in, and come back first, so that the same wishes have the same end.
+    ///
+    /// True while something hangs for which there may be room after this step without anybody's wish, as others move.
+    pub(super) fn keep_affordable(&mut self) -> bool {
         let boxes = self.boxes();
-        let mut in_step = vec![true; boxes.len()];
+        let in_step = self.affordable(&boxes);
+        let (mut changing, mut waiting) = (false, false);
+        for (own, in_step) in boxes.iter().zip(in_step) {
+            match own.part {
+                Part::Rests => continue,
+                Part::Held => {
+                    let collider = self.bodies.get(&own.id).and_then(|body| body.collider);
+                    set_enabled(&mut self.world.colliders, collider, in_step);
+                    continue;
+                }
+                Part::Free if !in_step => self.hang(own),
+                Part::Hangs(_) if in_step => self.bring_back(own.id),
+                Part::Free | Part::Hangs(_) => {}
+            }
+            changing |= in_step || own.part == Part::Free;
+            waiting |= !in_step;
+        }
+        changing && waiting
+    }
+
+    /// Of each object whether it is in the step: all that rests, what moves as far as there is room, and last what hangs. That may use half
+    /// of the room alone, so that it is not taken out again as soon as a heap stirs; all of it where nothing else uses any.
+    fn affordable(&self, boxes: &[Boxed]) -> Vec<bool> {
+        let mut in_step: Vec<bool> = boxes.iter().map(|own| own.part == Part::Rests).collect();
         let (mut pairs, mut triangles) = (0, 0);
-        for (i, own) in boxes.iter().enumerate().filter(|(_, own)| own.moves) {
-            let meets = |(j, other): &(usize, &Boxed)| (!other.moves || *j < i) && in_step[*j] && other.bounds.intersects(&own.bounds);
-            let met = boxes.iter().enumerate().filter(meets).take(MAX_PAIRS + 1 - pairs).count();
-            let touched = self.triangles_in(&own.bounds, MAX_TRIANGLES + 1 - triangles);
-            if pairs + met > MAX_PAIRS || triangles + touched > MAX_TRIANGLES {
-                in_step[i] = false;
-            } else {
+        let moving = boxes.iter().enumerate().filter(|(_, own)| matches!(own.part, Part::Held | Part::Free));
+        let hanging = boxes.iter().enumerate().filter(|(_, own)| matches!(own.part, Part::Hangs(_)));
+        for (i, own) in moving.chain(hanging) {
+            // Each pair counts once: with the one of the two that comes later.
+            let meets = |(other, in_step): &(&Boxed, &bool)| **in_step && other.bounds.intersects(&own.bounds);
+            let met = boxes.iter().zip(&in_step).filter(meets).take(MAX_PAIRS + 1 - pairs).count();
+            let (touched, share) = match own.part {
+                // Neither it nor the place has moved since they were counted.
+                Part::Hangs(touched) => (touched, if (pairs, triangles) == (0, 0) { 1 } else { 2 }),
+                _ => (self.triangles_in(&own.bounds, MAX_TRIANGLES + 1 - triangles), 1),
+            };
+            if pairs + met <= MAX_PAIRS / share && triangles + touched <= MAX_TRIANGLES / share {
+                in_step[i] = true;
                 (pairs, triangles) = (pairs + met, triangles + touched);
             }
         }
-        for (own, in_step) in boxes.iter().zip(in_step).filter(|(own, _)| own.moves) {
-            let Some(body) = self.bodies.get(&own.id) else { continue };
-            if body.held {
-                set_enabled(&mut self.world.colliders, body.collider, in_step);
-            } else if !in_step && let Some(rigid) = self.world.bodies.get_mut(body.handle) {
-                tracing::debug!(object = own.id.0, "too much is in one place; it hangs where it is until somebody takes hold of it");
-                rigid.set_enabled(false);
-            }
+        in_step
+    }
+
+    fn hang(&mut self, own: &Boxed) {
+        let touched = self.triangles_in(&own.bounds, MAX_TRIANGLES + 1);
+        let Some(body) = self.bodies.get_mut(&own.id) else { return };
+        if let Some(rigid) = self.world.bodies.get_mut(body.handle) {
+            tracing::debug!(object = own.id.0, "too much is in one place; it hangs where it is until there is room for it");
+            rigid.set_enabled(false);
+            body.hangs = Some(touched);
         }
     }
 
-    /// Of all objects that something can touch, in order.
+    /// It goes on as it moved when it was taken out.
+    fn bring_back(&mut self, id: ObjectId) {
+        let Some(body) = self.bodies.get_mut(&id) else { return };
+        body.hangs = None;
+        if let Some(rigid) = self.world.bodies.get_mut(body.handle) {
+            rigid.set_enabled(true);
+            rigid.wake_up(true);
+        }
+    }
+
+    /// Of all objects that something can touch or could if they did not hang, in order.
     fn boxes(&self) -> Vec<Boxed> {
         let boxed = |(id, body): (&ObjectId, &super::Body)| {
-            let rigid = self.world.bodies.get(body.handle).filter(|rigid| rigid.is_enabled())?;
+            let rigid = self.world.bodies.get(body.handle).filter(|rigid| rigid.is_enabled() || body.hangs.is_some())?;
             let collider = self.world.colliders.get(body.collider?)?;
-            let moves = body.held || (!body.fixed && !rigid.is_sleeping());
+            let part = match body.hangs {
+                _ if body.held => Part::Held,
+                Some(touched) => Part::Hangs(touched),
+                None if body.fixed || rigid.is_sleeping() => Part::Rests,
+                None => Part::Free,
+            };
             let at = if body.held { pose(&body.transform) } else { *rigid.position() };
-            Some(Boxed { id: *id, moves, bounds: collider.shape().compute_aabb(&at).loosened(LOOSE_M) })
+            Some(Boxed { id: *id, part, bounds: collider.shape().compute_aabb(&at).loosened(LOOSE_M) })
         };
         self.bodies.iter().filter_map(boxed).collect()
     }

@@ -65,6 +65,8 @@ struct Body {
     /// Stays where it is put.
     fixed: bool,
     held: bool,
+    /// It is out of the steps, which it would make too long; so many triangles of the place lie in its box.
+    hangs: Option<usize>,
     /// It was let go of since the last step.
     let_go: Option<Motion>,
     /// As viewers know it; of a held one, where it is to go.
@@ -110,7 +112,8 @@ impl Physics {
         let handle = self.world.insert_body(body);
         let collider = collider.map(|collider| self.world.insert_collider(surface(collider), Some(handle)));
         let (geometry, formed) = (object.geometry, Some(transform.scale));
-        self.bodies.insert(object.id, Body { handle, collider, geometry, formed, fixed, held: false, let_go: None, transform });
+        let body = Body { handle, collider, geometry, formed, fixed, held: false, hangs: None, let_go: None, transform };
+        self.bodies.insert(object.id, body);
     }
 
     /// Takes an object away. What leant on it falls.
@@ -124,7 +127,7 @@ impl Physics {
     /// Somebody takes hold of an object: it goes where [`Physics::move_to`] says, and pushes what is in its way.
     pub fn hold(&mut self, object: ObjectId) {
         let Some(body) = self.bodies.get_mut(&object).filter(|body| !body.held) else { return };
-        (body.held, body.let_go) = (true, None);
+        (body.held, body.hangs, body.let_go) = (true, None, None);
         if let Some(rigid) = self.world.bodies.get_mut(body.handle) {
             rigid.set_enabled(true);
             rigid.set_body_type(RigidBodyType::KinematicPositionBased, true);
@@ -158,7 +161,7 @@ impl Physics {
         self.reform();
         self.lead_held();
         self.throw();
-        self.keep_affordable();
+        let may_come_back = self.keep_affordable();
         self.world.step();
         if !self.world.quarantine().is_empty() {
             tracing::error!("an object's motion was not finite; it stays where it was until somebody takes hold of it");
@@ -181,7 +184,7 @@ impl Physics {
                 moved.push((*id, body.transform));
             }
         }
-        self.awake = self.world.islands.num_active_bodies() > 0;
+        self.awake = may_come_back || self.world.islands.num_active_bodies() > 0;
         moved
     }
 

@@ -265,6 +265,41 @@ fn a_crowd_in_one_place_costs_no_more_than_its_bound_and_can_be_taken_apart() {
 }
 
 #[test]
+fn what_hung_for_a_crowd_comes_back_when_there_is_room() {
+    let here = at(Vec3::new(0.0, 1.0, -3.0));
+    // Of 128 in one place each meets each other: 8128 pairs, and the next one would be too many.
+    let count = 140;
+    let crowd = || {
+        let mut physics = physics(Vec::new());
+        (1..=count).for_each(|id| physics.add(&object(id, Shape::Cube, here), false));
+        physics.step();
+        physics
+    };
+    let hanging =
+        |physics: &Physics| physics.bodies.iter().filter(|(_, body)| body.hangs.is_some()).map(|(id, _)| id.0).collect::<Vec<_>>();
+    let mut physics = crowd();
+    assert_eq!(hanging(&physics), (129..=count).collect::<Vec<_>>());
+    // The crowd is taken away.
+    (1..=128).for_each(|id| physics.remove(ObjectId(id)));
+    physics.step();
+    assert!(hanging(&physics).is_empty(), "{:?}", hanging(&physics));
+    settle(&mut physics);
+    assert!((129..=count).all(|id| place(&physics, id) != here), "some are still where they hung");
+    // It falls apart by itself, the same way each time, and the world does not go to rest before.
+    let fall_apart = || {
+        let mut physics = crowd();
+        let mut steps = 0;
+        while !hanging(&physics).is_empty() && !physics.at_rest() && steps < 3_000 {
+            physics.step();
+            steps += 1;
+        }
+        assert!(hanging(&physics).is_empty(), "{:?} hang after {steps} steps", hanging(&physics));
+        (1..=count).map(|id| place(&physics, id)).collect::<Vec<_>>()
+    };
+    assert_eq!(fall_apart(), fall_apart());
+}
+
+#[test]
 fn what_lies_in_too_much_of_the_place_hangs_and_a_small_thing_rests_on_it() {
     let floor = AssetId::of(b"floor");
     let mesh = PlaceMesh { model: floor, transform: at(Vec3::ZERO), casts_shadows: true, gloss: Default::default() };

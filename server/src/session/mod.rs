@@ -10,7 +10,6 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::ops::Bound;
 use std::time::{Duration, Instant};
 
-use mr360_protocol::clock::ServerTime;
 use mr360_protocol::intent::{Action, HOLD_LOST_US, Intent, MAX_HELD, MAX_PUT, Motion, PUT_BURST, PUT_INTERVAL_US};
 use mr360_protocol::scene::{
     Change, FIRST_LOCAL_ID, LibraryItem, MAX_CHANGES, MAX_OBJECTS, Object, ObjectId, Playback, Scene, SceneMessage, Transform,
@@ -364,9 +363,8 @@ pub async fn run(opening: Opening, mut track: SceneTrack, origin: moq_net::origi
                 }
                 None => break,
             },
-            _ = tick.tick() => for late in pace.due(Instant::now()) {
+            _ = tick.tick() => for at in pace.times(Instant::now(), clock.now()) {
                 // Each step is of its own time, however late it is made.
-                let at = ServerTime(clock.now().0.saturating_sub(late.as_micros() as u64));
                 let changes;
                 (session, changes) = match step(session).await {
                     Ok(stepped) => stepped,
