@@ -24,10 +24,11 @@ enum Command {
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
-    let default = "info,moq_net=error,moq_mux=warn,quinn=warn,wgpu_core=warn,wgpu_hal=error,naga=warn";
+    let default = "info,moq_net=error,moq_mux=warn,quinn=warn,web_transport_quinn=error,wgpu_core=warn,wgpu_hal=error,naga=warn";
     let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| default.into());
+    // Where nobody reads the log any more, nobody is to be told so.
     let colours = std::io::IsTerminal::is_terminal(&std::io::stderr());
-    tracing_subscriber::fmt().with_env_filter(filter).with_ansi(colours).with_writer(std::io::stderr).init();
+    tracing_subscriber::fmt().with_env_filter(filter).with_ansi(colours).with_writer(std::io::stderr).log_internal_errors(false).init();
     // What fails is told by our own errors; FFmpeg would add a line for every device that it probes in vain.
     ffmpeg_next::log::set_level(ffmpeg_next::log::Level::Fatal);
     let result = ffmpeg_next::init().map_err(|error| Failure::Running(anyhow::anyhow!("FFmpeg cannot be used: {error}")));

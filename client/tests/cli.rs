@@ -26,6 +26,19 @@ fn a_viewer_that_saw_nothing_has_failed_and_says_why() {
 }
 
 #[test]
+fn a_log_that_nobody_reads_is_no_failure_of_its_own() {
+    let silent = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
+    let url = format!("https://{}/#sha256={}", silent.local_addr().unwrap(), "00".repeat(32));
+    let cache = tempfile::tempdir().unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_mr360-client"));
+    command.env("XDG_CACHE_HOME", cache.path()).args(["join", &url, "--mode", "headless", "--duration", "1"]);
+    let mut child = command.stdout(std::process::Stdio::null()).stderr(std::process::Stdio::piped()).spawn().unwrap();
+    drop(child.stderr.take());
+    // That of a viewer that saw nothing.
+    assert_eq!(child.wait().unwrap().code(), Some(1));
+}
+
+#[test]
 fn values_out_of_range_are_named_with_their_range() {
     for (flag, value, range) in [
         ("--duration", "-1", "number of seconds above 0"),

@@ -1,6 +1,7 @@
 //! How a program ends: what failed, and the exit code that tells it.
 
 use std::fmt::Display;
+use std::io::Write as _;
 use std::process::ExitCode;
 
 /// Why a command ended before it was done. `E` is the program's own error.
@@ -28,8 +29,13 @@ pub fn exit<E: Display>(result: Result<(), Failure<E>>) -> ExitCode {
     let Err(failure) = result else { return ExitCode::SUCCESS };
     let code = failure.code();
     let (Failure::Input(error) | Failure::Running(error)) = failure;
-    eprintln!("error: {error:#}");
+    say(format_args!("error: {error:#}"));
     ExitCode::from(code)
+}
+
+/// A line on standard error. Where nobody reads it any more it is lost, and the program goes on: its exit code still tells how it ended.
+pub fn say(line: impl Display) {
+    let _ = writeln!(std::io::stderr(), "{line}");
 }
 
 #[cfg(test)]

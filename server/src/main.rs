@@ -26,10 +26,11 @@ enum Command {
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
-    let filter =
-        tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "info,moq_net=error,moq_mux=warn,quinn=warn".into());
+    let filter = tracing_subscriber::EnvFilter::try_from_default_env()
+        .unwrap_or_else(|_| "info,moq_net=error,moq_mux=warn,quinn=warn,web_transport_quinn=error".into());
+    // Where nobody reads the log any more, nobody is to be told so.
     let colours = std::io::IsTerminal::is_terminal(&std::io::stderr());
-    tracing_subscriber::fmt().with_env_filter(filter).with_ansi(colours).with_writer(std::io::stderr).init();
+    tracing_subscriber::fmt().with_env_filter(filter).with_ansi(colours).with_writer(std::io::stderr).log_internal_errors(false).init();
     match cli.command {
         Command::Serve(args) => failure::exit(serve(*args)),
         Command::Analyze(args) => failure::exit(analyze(&args)),

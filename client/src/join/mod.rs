@@ -17,6 +17,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
+use mr360_protocol::failure::say;
 use mr360_protocol::intent::Action;
 use mr360_protocol::stop::asked_to_stop;
 use winit::event_loop::EventLoop;
@@ -95,7 +96,7 @@ fn present(settings: &Settings, stats: Stats, outputs: Outputs, (deeds, recorder
     drop(network);
     let presented = frames.frames();
     let summary = frames.into_stats().finish()?;
-    eprintln!("{summary}");
+    say(summary);
     if let Some(error) = end.lock().unwrap_or_else(PoisonError::into_inner).take() {
         return Err(error);
     }

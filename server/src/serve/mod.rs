@@ -9,7 +9,7 @@ pub use args::ServeArgs;
 use std::time::Duration;
 
 use anyhow::Context;
-use mr360_protocol::failure::Failure;
+use mr360_protocol::failure::{Failure, say};
 use mr360_protocol::scene_file::SceneFile;
 use mr360_protocol::stop::asked_to_stop;
 use mr360_protocol::transport;
@@ -95,7 +95,7 @@ impl OnAir {
         session.abort();
         doors.close().await;
         drop(broadcast);
-        eprintln!("{}", stats.summary(counters));
+        say(stats.summary(counters));
         // A short file may be over before its format's fault was heard.
         if failed.is_none()
             && let Ok(fault) = format.try_recv()
