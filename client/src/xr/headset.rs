@@ -295,7 +295,8 @@ impl<'a> Headset<'a> {
         let depth = self.depth.as_ref().map(|depth| (depth, self.viewer.placing.scale()));
         layers::end(&mut self.stream, when, (&self.spaces.floor, &begun.views), &self.colour, depth)
             .map_err(|code| Fault::of("ending a frame", code))?;
-        let pose_to_photon_us = begun.pose_read.and_then(|read| u64::try_from((begun.display.as_nanos() - read.as_nanos()) / 1_000).ok());
+        let pose_to_photon_us =
+            begun.pose_read.map(|read| u64::try_from(begun.display.as_nanos().saturating_sub(read.as_nanos()) / 1_000).unwrap_or(0));
         let frame_us = self.clock.now().0.saturating_sub(begun.called_for.0);
         if let Some(Watching(spectator)) = self.watchers.spectator.as_mut().filter(|_| mirrors) {
             spectator.show();

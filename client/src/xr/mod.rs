@@ -261,7 +261,10 @@ fn frame<S: Stage>(
     act: &mut dyn FnMut(Action),
 ) -> Result<bool, Fault> {
     let turn = if let Some(interval) = headset.begin()? {
-        stage.set_interval(u32::try_from(interval.as_micros()).unwrap_or(u32::MAX));
+        // A runtime that does not know its display's period says 0.
+        if !interval.is_zero() {
+            stage.set_interval(u32::try_from(interval.as_micros()).unwrap_or(u32::MAX));
+        }
         let out = hands.update(&headset.read_hands()?, stage);
         headset.pulse(out.haptics)?;
         headset.place(&out.placing);
