@@ -11,15 +11,31 @@ fn the_contract_of_the_command_line_holds() {
     }
 }
 
+/// A server that never answers, and a viewer's cache of its own.
+struct Silent {
+    // Taken: nobody else gets this port.
+    socket: std::net::UdpSocket,
+    cache: tempfile::TempDir,
+}
+
+impl Silent {
+    fn new() -> Self {
+        Self { socket: std::net::UdpSocket::bind("127.0.0.1:0").unwrap(), cache: tempfile::tempdir().unwrap() }
+    }
+
+    /// A viewer that waits for it for a second.
+    fn join(&self) -> Command {
+        let url = format!("https://{}/#sha256={}", self.socket.local_addr().unwrap(), "00".repeat(32));
+        let mut command = Command::new(env!("CARGO_BIN_EXE_mr360-client"));
+        command.env("XDG_CACHE_HOME", self.cache.path()).args(["join", &url, "--mode", "headless", "--duration", "1"]);
+        command
+    }
+}
+
 #[test]
 fn a_viewer_that_saw_nothing_has_failed_and_says_why() {
-    // Taken and silent: nobody else gets this port.
-    let silent = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
-    let url = format!("https://{}/#sha256={}", silent.local_addr().unwrap(), "00".repeat(32));
-    let cache = tempfile::tempdir().unwrap();
-    let mut command = Command::new(env!("CARGO_BIN_EXE_mr360-client"));
-    command.env("XDG_CACHE_HOME", cache.path()).args(["join", &url, "--mode", "headless", "--duration", "1"]);
-    let output = command.output().unwrap();
+    let silent = Silent::new();
+    let output = silent.join().output().unwrap();
     let error = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{error}");
     assert!(error.contains("no picture was shown") && error.contains("UDP"), "{error}");
@@ -27,12 +43,8 @@ fn a_viewer_that_saw_nothing_has_failed_and_says_why() {
 
 #[test]
 fn a_log_that_nobody_reads_is_no_failure_of_its_own() {
-    let silent = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
-    let url = format!("https://{}/#sha256={}", silent.local_addr().unwrap(), "00".repeat(32));
-    let cache = tempfile::tempdir().unwrap();
-    let mut command = Command::new(env!("CARGO_BIN_EXE_mr360-client"));
-    command.env("XDG_CACHE_HOME", cache.path()).args(["join", &url, "--mode", "headless", "--duration", "1"]);
-    let mut child = command.stdout(std::process::Stdio::null()).stderr(std::process::Stdio::piped()).spawn().unwrap();
+    let silent = Silent::new();
+    let mut child = silent.join().stdout(std::process::Stdio::null()).stderr(std::process::Stdio::piped()).spawn().unwrap();
     drop(child.stderr.take());
     // That of a viewer that saw nothing.
     assert_eq!(child.wait().unwrap().code(), Some(1));
