@@ -19,23 +19,23 @@ struct Silent {
 }
 
 impl Silent {
-    fn new() -> Self {
-        Self { socket: std::net::UdpSocket::bind("127.0.0.1:0").unwrap(), cache: tempfile::tempdir().unwrap() }
+    fn new() -> std::io::Result<Self> {
+        Ok(Self { socket: std::net::UdpSocket::bind("127.0.0.1:0")?, cache: tempfile::tempdir()? })
     }
 
     /// A viewer that waits for it for a second.
-    fn join(&self) -> Command {
-        let url = format!("https://{}/#sha256={}", self.socket.local_addr().unwrap(), "00".repeat(32));
+    fn join(&self) -> std::io::Result<Command> {
+        let url = format!("https://{}/#sha256={}", self.socket.local_addr()?, "00".repeat(32));
         let mut command = Command::new(env!("CARGO_BIN_EXE_mr360-client"));
         command.env("XDG_CACHE_HOME", self.cache.path()).args(["join", &url, "--mode", "headless", "--duration", "1"]);
-        command
+        Ok(command)
     }
 }
 
 #[test]
 fn a_viewer_that_saw_nothing_has_failed_and_says_why() {
-    let silent = Silent::new();
-    let output = silent.join().output().unwrap();
+    let silent = Silent::new().unwrap();
+    let output = silent.join().unwrap().output().unwrap();
     let error = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{error}");
     assert!(error.contains("no picture was shown") && error.contains("UDP"), "{error}");
@@ -43,8 +43,8 @@ fn a_viewer_that_saw_nothing_has_failed_and_says_why() {
 
 #[test]
 fn a_log_that_nobody_reads_is_no_failure_of_its_own() {
-    let silent = Silent::new();
-    let mut child = silent.join().stdout(std::process::Stdio::null()).stderr(std::process::Stdio::piped()).spawn().unwrap();
+    let silent = Silent::new().unwrap();
+    let mut child = silent.join().unwrap().stdout(std::process::Stdio::null()).stderr(std::process::Stdio::piped()).spawn().unwrap();
     drop(child.stderr.take());
     // That of a viewer that saw nothing.
     assert_eq!(child.wait().unwrap().code(), Some(1));
